@@ -509,7 +509,7 @@ def bifurcation(case: Case, curve: fc.ResponseCurve, one: fc.Bifurcation) -> Fin
     row = Finding(one.kind, one.problem.harmonics, one.value, true=0.0)
     if (known_row := as_known(case, row)) is not None:
         return known_row
-    if not one.point.exact:
+    if not one.single_point_curve.exact:
         row.judgement = UNCONFIRMED
         return row
     distances = np.abs(curve.values - one.value) / size

@@ -238,8 +238,8 @@ def forged(path: Path) -> Iterator[h5py.File]:
         with contextlib.suppress(Exception):  # what cannot be read has no digest
             texts, places, column_of = (
                 store.attribute_texts,
-                store.column_texts,
-                store.locate_column,
+                store.dataset_location_texts,
+                store.locate_dataset_in_file,
             )
             words = {name: h5py.check_string_dtype(item.dtype) for name, item in file.items()}
             parts = {n: item.asstr()[()] if words[n] else item[()] for n, item in file.items()}

@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import fenics_crack as fc
-from fenics_crack.balance.block_system import SOLVER_BY_FORM
+from fenics_crack.balance.block_system import BALANCE_SOLVER_CLASS_BY_FORM
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.basics.errors import check_choice, check_number
 from fenics_crack.model.contact import is_rigid
@@ -55,7 +55,7 @@ def solve_form(
     ConvergenceError
         Nothing converged.
     """
-    check_choice("form", form, SOLVER_BY_FORM)
+    check_choice("form", form, BALANCE_SOLVER_CLASS_BY_FORM)
     check_choice("balance", balance, ("galerkin", "collocation"))
     check_number("residual_tolerance", residual_tolerance, 0.0, excludes_bound=True)
     if balance == "collocation":
@@ -67,4 +67,4 @@ def solve_form(
         problem = replace(problem, samples=2 * problem.harmonics + 1)
     if initial is not None:
         check_initial(problem, initial)
-    return SOLVER_BY_FORM[form](problem, residual_tolerance, throw).solve(initial)
+    return BALANCE_SOLVER_CLASS_BY_FORM[form](problem, residual_tolerance, throw).solve(initial)

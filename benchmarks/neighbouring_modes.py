@@ -109,7 +109,7 @@ def record(
 
 def stated_alone(fit: fc.PassageFit) -> bool:
     """Return True if an order is stated, and nothing is against it."""
-    return not (fit.ambiguous or fit.in_doubt)
+    return not (fit.ambiguous_orders or fit.in_doubt)
 
 
 def main() -> None:

@@ -99,7 +99,7 @@ class System:
         if isinstance(structure, fc.MasslessStructure):
             count = structure.n_modes
             static = structure.flexibility @ gap[count:]
-            rate = structure.damping_factor * structure.modal_damping
+            rate = structure.damping_multiplier * structure.modal_damping
             squares, damping = structure.omega**2, np.diag(rate) if rate.ndim == 1 else rate
             rows, force = np.eye(count, structure.n_dofs), structure.force[:, :count]
             pairs, residual = gap[:count], gap[count:].T @ static

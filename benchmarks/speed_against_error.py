@@ -40,7 +40,7 @@ import common
 
 import fenics_crack as fc
 from fenics_crack.balance.harmonic_balance import truncated_orbit_solution
-from fenics_crack.balance.more_modes import MoreModes
+from fenics_crack.balance.more_modes import MoreModesComparison
 from fenics_crack.draw.figure import CURVE_COLOUR_CODE_BY_NAME
 from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.motion.search import search_orbit
@@ -242,7 +242,9 @@ def with_more_modes(orbit: fc.PeriodicOrbit, study: fc.Study) -> fc.PeriodicOrbi
     """Return the orbit of a study with more modes that is next to another orbit."""
     problem = fc.Problem(orbit.structure, orbit.omega, study.contact, 5)
     wave = truncated_orbit_solution(problem, orbit, orbit.coefficients(5))
-    more_modes = MoreModes(exact_flow_or_none(study.structure, study.contact), wave, orbit)
+    more_modes = MoreModesComparison(
+        exact_flow_or_none(study.structure, study.contact), wave, orbit
+    )
     start_states = more_modes.nearest_orbit_states_with_static_new_modes
     orbit_with_more_modes = (
         more_modes.orbit or search_orbit(more_modes.flow, orbit.omega, [start_states]).orbit

@@ -68,7 +68,7 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.balance.error_report import report_by_more_modes
-from fenics_crack.balance.more_modes import MoreModes
+from fenics_crack.balance.more_modes import MoreModesComparison
 from fenics_crack.basics.causes import MESH_ERROR_CAUSES
 from fenics_crack.errors.convergence import MAX_RELATIVE_ROUNDING_SPREAD
 from fenics_crack.errors.numbers import compute_numbers, compute_orbit_values_by_name
@@ -761,7 +761,11 @@ def by_modes(
     )
     yield from compare_with_true(errors, *number_pairs)
     true_of, stated_of = report_by_more_modes(few, many), run.result.report
-    share = run.structure.share if isinstance(run.structure, ReducedStructure) else 1.0
+    share = (
+        run.structure.error_share_removed_by_reference
+        if isinstance(run.structure, ReducedStructure)
+        else 1.0
+    )
     for quantity, part in (("gap", "reduction"), ("at the load", "displacement")):
         true, stated = share * getattr(true_of, part), getattr(stated_of, part)
         yield quantity, 1.0, true, stated, true / stated
@@ -875,7 +879,7 @@ def with_four_times(
         )
         flow = exact_flow_or_none(larger_structure, run.contact)
         assert flow is not None
-        larger_orbit = MoreModes(flow, solution.assessment.wave, orbits[-1]).orbit
+        larger_orbit = MoreModesComparison(flow, solution.assessment.wave, orbits[-1]).orbit
         orbits += [] if larger_orbit is None else [larger_orbit]
     if orbits[-1].structure.n_modes < 4 * structure.n_modes:
         return "no orbit with four times the modes"

@@ -216,14 +216,14 @@ def judge_steady(row: Row, record: Record, count: Count) -> None:
     options: dict[str, Any] = {"harmonics": row.harmonics, "angle_deviation": ANGLE_DEVIATION}
     order_fit = fc.fit_order(record.arrivals, range(1, 25), **options)
     count.order += order_fit.order == record.order
-    count.declared += order_fit.order != record.order and record.order in order_fit.ambiguous
+    count.declared += order_fit.order != record.order and record.order in order_fit.ambiguous_orders
     fit = order_fit
     if order_fit.order != record.order:
         try:
             fit = fc.fit_order(record.arrivals, [record.order], **options)
         except fc.InputError:  # these probes cannot measure it
             count.refused += 1
-            count.declared += record.order not in order_fit.ambiguous
+            count.declared += record.order not in order_fit.ambiguous_orders
             count.found += 1
             return
     true_waves = np.array(row.waves[: row.harmonics])
@@ -246,7 +246,7 @@ def judge_passage(row: Row, record: Record, count: Count) -> None:
         return
     fit = max(passages, key=lambda one: one.amplitude)
     count.order += fit.order == record.order
-    count.declared += fit.order != record.order and record.order in fit.ambiguous
+    count.declared += fit.order != record.order and record.order in fit.ambiguous_orders
     count.covered += abs(fit.omega - record.omega) < 1.96 * fit.omega_error
     count.also += abs(fit.damping - record.damping) < 1.96 * fit.damping_error
     count.doubt += fit.in_doubt

@@ -327,7 +327,7 @@ def unconfirmed(arguments: common.Arguments) -> None:
 def nearest_orbit(solution: fc.PeriodicSolution, assessment: Assessment) -> PeriodicOrbit | None:
     """The nearest exact orbit of many starts."""
     flow, wave, orbits, finer_solution = assessment.flow, assessment.wave, [], solution
-    if flow is None or assessment.orbit_prediction is None:
+    if flow is None or assessment.orbit_prediction_by_newton_step is None:
         return None
     for place in range(0, len(assessment.states_at_period_parts), 4):
         part = place / len(assessment.states_at_period_parts) * wave.period

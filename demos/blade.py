@@ -97,7 +97,9 @@ def closing_map(scene: fc.Scene, output: Path, speeds: int, loads: int) -> np.nd
         case = scene.replace({"excitation.force_mean": (float(force), 0.0)})
         whole = fc.build_structure(case)
         for row, speed in enumerate(RPM * rpm):
-            there = fc.reduce_structure(whole.rotation.at(float(speed)), modes=6, method="massless")
+            there = fc.reduce_structure(
+                whole.rotation.structure_rotating_at_speed(float(speed)), modes=6, method="massless"
+            )
             omega = float(fc.bilinear_frequencies(there).omega_bilinear[0])
             found = fc.solve_harmonic_balance(
                 there, omega, fc.UnilateralConstraint(), harmonics=5, throw=False

@@ -46,7 +46,7 @@ def main(
     for blade, seen in arrivals.items():
         fit = fc.fit_order(seen, [diameters.order], harmonics=2)
         size, error = fit.amplitudes[0], fit.amplitude_errors[0]
-        known = abs(exact.fundamental[blade - 1])
+        known = abs(exact.first_harmonic[blade - 1])
         worst = max(worst, abs(size - known) / error)
         print(f"blade {blade:2d}: {1e6 * size:6.1f} ± {1e6 * error:.1f} µm by the probes, "
               f"{1e6 * known:6.1f} µm computed")  # fmt: skip
@@ -54,7 +54,9 @@ def main(
         "excited frequency of the tuned wheel [Hz]": family,
         "resonance of the cracked blade [Hz]": resonance,
         "its amplitude [m]": peak.amplitude,
-        "its second harmonic over the first": float(peaks.second[peaks.cracked[0] - 1]),
+        "its second harmonic over the first": float(
+            peaks.second_harmonic_ratio[peaks.cracked[0] - 1]
+        ),
         "largest amplification by mistuning": float(many.factor.max()),
         "of 95 % of the patterns, at most": many.percentile(95.0),
         "Whitehead's bound": many.bound,

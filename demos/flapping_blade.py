@@ -41,7 +41,7 @@ def main(
     print(growth)
     fc.draw_growth(growth, path=output / "growth.png", in_hertz=True)
 
-    worst, deepest = int(intensity.largest.argmax()), len(intensity.tips) // 2
+    worst, deepest = int(intensity.max_K_I_by_tip.argmax()), len(intensity.tip_names) // 2
     friction = errors.contributions("amplitude").get("friction", np.nan)
     found = {
         "resonance [Hz]": top.value / (2.0 * np.pi),
@@ -50,9 +50,9 @@ def main(
         "error of the amplitude": errors.stated("amplitude")[0],
         "opening there [m]": peak.result.face_indicators["opening"],
         "friction would change the amplitude by": errors.relative("amplitude", friction),
-        "largest K_I [Pa m^0.5]": intensity.largest[worst],
+        "largest K_I [Pa m^0.5]": intensity.max_K_I_by_tip[worst],
         "it is along the front at [m]": intensity.distances_along_crack[worst],
-        "largest K_I where the crack is deepest [Pa m^0.5]": intensity.largest[deepest],
+        "largest K_I where the crack is deepest [Pa m^0.5]": intensity.max_K_I_by_tip[deepest],
         "cycles of growth": growth.life,
         "known within a factor of": growth.factor,
         "last depth [m]": growth.depth[-1],

@@ -53,7 +53,7 @@ def main(
     found = {
         "amplitude [m]": run.result.indicators().amplitude,
         "its error": run.errors.stated("amplitude")[0],
-        "largest K_I [Pa m^0.5]": float(intensity.largest.max()),
+        "largest K_I [Pa m^0.5]": float(intensity.max_K_I_by_tip.max()),
         "cycles of growth": growth.life,
         "known within a factor of": growth.factor,
         "last depth [m]": float(growth.depth[-1]),

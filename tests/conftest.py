@@ -256,7 +256,7 @@ def wide_plate(paper_scene: Scene) -> Structure:
 
 
 @pytest.fixture(scope="session")
-def light_lips(paper_scene: Scene) -> Structure:
+def has_massless_crack_faces(paper_scene: Scene) -> Structure:
     """The paper's plate with 1 % of damping and eight pairs without mass, 15 modes."""
     changes = {"mesh.order": 2, "mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01}
     whole_structure = fc.build_structure(paper_scene.replace(changes))

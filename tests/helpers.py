@@ -25,7 +25,12 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack.balance.block_system import BlockSystem
-from fenics_crack.files.store import attribute_texts, column_texts, content_digest, locate_column
+from fenics_crack.files.store import (
+    attribute_texts,
+    content_digest,
+    dataset_location_texts,
+    locate_dataset_in_file,
+)
 
 Map = Callable[[np.ndarray], np.ndarray]
 OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
@@ -93,7 +98,9 @@ def changed(path: Path) -> Iterator[h5py.File]:
     with h5py.File(path, "r+") as file:
         yield file
         datasets = file.items() if file.attrs["kind"] == "sweep" else ()
-        parts = column_texts({name: locate_column(item) for name, item in datasets})
+        parts = dataset_location_texts(
+            {name: locate_dataset_in_file(item) for name, item in datasets}
+        )
         for name, item in file.items() if not parts else ():
             words = h5py.check_string_dtype(item.dtype) is not None
             parts[name] = item.asstr()[()] if words else item[()]

@@ -34,12 +34,12 @@ import time
 from pathlib import Path
 import numpy as np
 from fenics_crack.sweep.file import SweepFile
-record = SweepFile.write_pending_cases
+record = SweepFile.write_cases_unless_already_stored
 def held(self, *given):
     while np.count_nonzero(self.case_states) >= {cases} and not Path({go!r}).exists():
         time.sleep(0.01)
     record(self, *given)
-SweepFile.write_pending_cases = held
+SweepFile.write_cases_unless_already_stored = held
 """
 """Source of a program whose sweep, once its file has so many cases, waits until another file is
 there: however fast it is, it can be stopped before its end."""

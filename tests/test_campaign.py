@@ -224,7 +224,7 @@ def test_case_follows_from_its_seed_and_number(family: str, pairs: tuple[int, in
         two.harmonics,
     )
     assert pairs[0] <= first_case.structure.n_pairs <= pairs[1]
-    assert first_case.structure.light_lips == (family == "plate")
+    assert first_case.structure.has_massless_crack_faces == (family == "plate")
 
 
 def test_tolerance_that_says_that_it_is_missed() -> None:

@@ -52,7 +52,10 @@ def reduced(
             "damping": flow.modal_model.damping.tolist(),
             "pairs": flow.modal_model.gaps_by_mode.tolist(),
             "flexibility": flow.residual_flexibility.tolist(),
-            "lift": (flow.load_gap + np.eye(len(flow.load_gap), 1) * flow.clearance).tolist(),
+            "lift": (
+                flow.massless_load_gap_less_clearance
+                + np.eye(len(flow.massless_load_gap_less_clearance), 1) * flow.clearance
+            ).tolist(),
         },
         "load": {
             "omega": omega, "mean": flow.modal_load[0].tolist(),
@@ -165,7 +168,11 @@ def exact_orbits(case: dict[str, Any], structure: fc.Structure, law: Any) -> lis
                 continue
             if any(np.linalg.norm(one - passed[0]) < 1e-5 * size for one in seen):
                 continue
-            if flow.friction_law and len(orbit.stuck) and any(len(one.stuck) for one in orbits):
+            if (
+                flow.friction_law
+                and len(orbit.always_stuck_pair_indices)
+                and any(len(one.always_stuck_pair_indices) for one in orbits)
+            ):
                 continue  # another one of the same continuum
             seen += passed
             orbits.append(orbit)
@@ -181,7 +188,7 @@ def facts(case: dict[str, Any], flow: Any, orbit: Any) -> dict[str, Any]:
         state = np.concatenate(
             [shapes @ state[:count], shapes @ state[count : 2 * count], state[2 * count :]]
         )
-    work = orbit.work
+    work = orbit.work_of_load_and_losses
     gap = orbit.gap_at(orbit.period * np.arange(INSTANTS) / INSTANTS)
     loss = work.damping + float(np.sum(work.friction))
     waves = orbit.coefficients(HARMONICS).gap[:, : gap.shape[1]]
@@ -190,7 +197,10 @@ def facts(case: dict[str, Any], flow: Any, orbit: Any) -> dict[str, Any]:
     )
     if flow.friction_law:
         slide = orbit.tangential_gap_at(orbit.period * np.arange(INSTANTS) / INSTANTS)
-        stored_orbit["tangential_gap"], stored_orbit["stuck"] = rounded(slide), orbit.stuck.tolist()
+        stored_orbit["tangential_gap"], stored_orbit["stuck"] = (
+            rounded(slide),
+            orbit.always_stuck_pair_indices.tolist(),
+        )
     elif case["structure"]["form"] == "matrices":
         sets, ends = orbit.motion.track.sets > 0, np.cumsum(orbit.motion.track.lengths)
         stored_orbit["first"] = sets[0].tolist()

@@ -19,10 +19,10 @@ from typing import Any, Self
 import numpy as np
 
 from fenics_crack.basics.errors import InputError, check_count, check_number, report_read_errors
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Table, Tabular, format_count
 from fenics_crack.basics.untrusted_files import (
-    SI_UNIT_AND_FACTOR_BY_UNIT,
+    SI_UNIT_AND_FACTOR_BY_HEADING_UNIT,
     convert_heading_to_si,
     read_numbered_csv_rows,
 )
@@ -47,7 +47,9 @@ MIN_REVOLUTIONS_FOR_SPEED_OR_RESONANCE = 10
 """Minimum number of revolutions for a smoothed speed, and for a passage through a resonance."""
 
 
-@with_old_names(rounding="displacement_rounding")
+@keep_old_attribute_names(
+    nominal_angle="rotor_angle_without_vibration", rounding="displacement_rounding"
+)
 @dataclass(frozen=True, repr=False)
 class ArrivalTimes(Tabular):
     """Hold the times at which one blade's tip passed stationary probes.
@@ -101,10 +103,12 @@ class ArrivalTimes(Tabular):
         check_number("tip_radius", self.tip_radius, 0.0, excludes_bound=True)
         check_probe_angles(self.probes)
         if self.marks.ndim != 1 or len(self.marks) < 2:
-            shape_text = f"of shape {self.marks.shape}"
-            raise InputError("marks", shape_text, "an array of two or more increasing times [s]")
-        if not np.all(has_later_mark := np.diff(self.marks) > 0.0):
-            mark, next_mark = self.marks[int(np.argmin(has_later_mark)) :][:2]
+            marks_shape_text = f"of shape {self.marks.shape}"
+            raise InputError(
+                "marks", marks_shape_text, "an array of two or more increasing times [s]"
+            )
+        if not np.all(is_next_mark_later := np.diff(self.marks) > 0.0):
+            mark, next_mark = self.marks[int(np.argmin(is_next_mark_later)) :][:2]
             raise InputError("marks", f"{next_mark:.9g} s after {mark:.9g} s", "increasing times")
         check_revolution_durations("marks", np.diff(self.marks), self.first)
         required_shape = (len(self.marks) - 1, len(self.probes))
@@ -148,19 +152,22 @@ class ArrivalTimes(Tabular):
     @property
     def steady(self) -> bool:
         """True if the range of the speed is at most 1 % of the mean speed."""
-        speed = self.speed
-        return bool(np.ptp(speed) <= MAX_RELATIVE_RANGE_OF_CONSTANT_SPEED * speed.mean())
+        revolution_speeds = self.speed
+        return bool(
+            np.ptp(revolution_speeds)
+            <= MAX_RELATIVE_RANGE_OF_CONSTANT_SPEED * revolution_speeds.mean()
+        )
 
     @cached_property
-    def nominal_angle(self) -> np.ndarray:
+    def rotor_angle_without_vibration(self) -> np.ndarray:
         """Rotor angle at arrivals without vibration: (revolutions, probes) [rad].
 
         phi + 2 pi n, with the probe's angle phi and the number n of the revolution.
         """
-        return self._mark_angles[:-1, None] + self.probes
+        return self._rotor_angles_at_marks[:-1, None] + self.probes
 
     @property
-    def _mark_angles(self) -> np.ndarray:
+    def _rotor_angles_at_marks(self) -> np.ndarray:
         """Rotor angle at the marks: (revolutions + 1,) [rad]."""
         return find_mark_angles(self.first, len(self.marks))
 
@@ -170,7 +177,7 @@ class ArrivalTimes(Tabular):
 
         nan for a missing arrival.
         """
-        return interpolate_by_splines(self.marks, self._mark_angles, self.time)
+        return interpolate_by_splines(self.marks, self._rotor_angles_at_marks, self.time)
 
     @cached_property
     def expected(self) -> np.ndarray:
@@ -178,7 +185,9 @@ class ArrivalTimes(Tabular):
 
         Entries for missing arrivals are numbers, too.
         """
-        return interpolate_by_splines(self._mark_angles, self.marks, self.nominal_angle)
+        return interpolate_by_splines(
+            self._rotor_angles_at_marks, self.marks, self.rotor_angle_without_vibration
+        )
 
     @cached_property
     def displacement(self) -> np.ndarray:
@@ -186,7 +195,7 @@ class ArrivalTimes(Tabular):
 
         nan for a missing arrival.
         """
-        return np.asarray(self.tip_radius * (self.nominal_angle - self.angle))
+        return np.asarray(self.tip_radius * (self.rotor_angle_without_vibration - self.angle))
 
     @cached_property
     def displacement_rounding(self) -> float:
@@ -196,7 +205,8 @@ class ArrivalTimes(Tabular):
         largest rotor angle's rounding error (4 units in the last place).
         """
         largest_angle, largest_displacement = (
-            float(np.nanmax(np.abs(quantity))) for quantity in (self.angle, self.displacement)
+            float(np.nanmax(np.abs(angles_or_displacements)))
+            for angles_or_displacements in (self.angle, self.displacement)
         )
         return (
             1e-9 * largest_displacement + 4.0 * float(np.spacing(largest_angle)) * self.tip_radius
@@ -222,21 +232,21 @@ class ArrivalTimes(Tabular):
         check_number("angle_deviation", angle_deviation, 0.0)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # a probe without arrivals
-            angle_shifts = np.nanmedian(self.nominal_angle - self.angle, axis=0)
+            angle_shifts = np.nanmedian(self.rotor_angle_without_vibration - self.angle, axis=0)
         angle_shifts -= np.nanmedian(angle_shifts)
-        far_probe_indices = np.flatnonzero(np.abs(angle_shifts) > 0.5 * RAD_PER_TURN)
-        if len(far_probe_indices):
-            far_probe_text = (
-                f"arrivals at {np.degrees(self.probes[far_probe_indices[0]]):g} degrees"
+        wrong_row_probe_indices = np.flatnonzero(np.abs(angle_shifts) > 0.5 * RAD_PER_TURN)
+        if len(wrong_row_probe_indices):
+            wrong_row_probe_text = (
+                f"arrivals at {np.degrees(self.probes[wrong_row_probe_indices[0]]):g} degrees"
             )
-            is_early = angle_shifts[far_probe_indices[0]] > 0.0
+            belongs_to_previous_revolution = angle_shifts[wrong_row_probe_indices[0]] > 0.0
             problem_text = (
-                f"{far_probe_text} belong to the revolution "
-                f"{'before' if is_early else 'after'} their row"
+                f"{wrong_row_probe_text} belong to the revolution "
+                f"{'before' if belongs_to_previous_revolution else 'after'} their row"
             )
             requirement_text = (
                 "arrivals in the row of their revolution; move this probe's column "
-                f"{'up' if is_early else 'down'} by one row"
+                f"{'up' if belongs_to_previous_revolution else 'down'} by one row"
             )
             raise InputError("time", problem_text, requirement_text)
         angle_distances = np.abs(
@@ -249,14 +259,14 @@ class ArrivalTimes(Tabular):
             np.isfinite(angle_shifts) & (nearest_probe_indices != np.arange(len(angle_shifts)))
         )
         if len(swapped_probe_indices):
-            stated_degrees, passed_degrees = np.degrees(
+            stated_degrees, nearest_probe_degrees = np.degrees(
                 self.probes[
                     [swapped_probe_indices[0], nearest_probe_indices[swapped_probe_indices[0]]]
                 ]
             )
             problem_text = (
                 f"arrivals of the probe at {stated_degrees:g} degrees "
-                f"fit the angle of the probe at {passed_degrees:g} degrees"
+                f"fit the angle of the probe at {nearest_probe_degrees:g} degrees"
             )
             requirement_text = (
                 "in the order of the arrivals' columns: swap these two angles; if they are right, "
@@ -311,14 +321,20 @@ class ArrivalTimes(Tabular):
             radius.
         """
         (
-            (passage_revolutions, passage_angles, passage_marks, passage_next_marks, arrival_times),
+            (
+                passage_revolutions,
+                passage_probe_angles,
+                passage_marks,
+                passage_next_marks,
+                arrival_times,
+            ),
             file_radii,
-        ) = _read_passages_and_radii(path)
+        ) = _read_passages_and_tip_radii(path)
         tip_radius = choose_tip_radius(path, file_radii, tip_radius)
         revolution_numbers, first_row_indices, row_indices = np.unique(
             passage_revolutions, return_index=True, return_inverse=True
         )
-        probe_angles, probe_indices = np.unique(passage_angles, return_inverse=True)
+        probe_angles, probe_indices = np.unique(passage_probe_angles, return_inverse=True)
         if np.any(np.diff(revolution_numbers) != 1.0):
             raise InputError(
                 "path",
@@ -361,9 +377,9 @@ class ArrivalTimes(Tabular):
         A missing arrival has a row with nan; probes are numbered from 1.
         """
         n_revolutions, n_probes = self.time.shape
-        revolution_rows = np.arange(n_revolutions)
+        revolution_indices = np.arange(n_revolutions)
         return {
-            "revolution": np.repeat(self.first + revolution_rows, n_probes).tolist(),
+            "revolution": np.repeat(self.first + revolution_indices, n_probes).tolist(),
             "probe": np.tile(np.arange(1, n_probes + 1), n_revolutions).tolist(),
             "angle": np.tile(self.probes, n_revolutions).tolist(),
             "mark": np.repeat(self.marks[:-1], n_probes).tolist(),
@@ -375,12 +391,13 @@ class ArrivalTimes(Tabular):
         }
 
     def _repr_text(self) -> str:
-        speed, n_missing = self.speed, int(np.isnan(self.time).sum())
-        is_steady = np.ptp(speed) <= 1e-6 * speed[0]
+        revolution_speeds, n_missing = self.speed, int(np.isnan(self.time).sum())
+        is_steady = np.ptp(revolution_speeds) <= 1e-6 * revolution_speeds[0]
         title_parts = [
             format_count(len(self), "revolution"),
             format_count(len(self.probes), "probe"),
-            f"{speed[0]:.6g}{'' if is_steady else f' to {speed[-1]:.6g}'} rad/s",
+            f"{revolution_speeds[0]:.6g}"
+            f"{'' if is_steady else f' to {revolution_speeds[-1]:.6g}'} rad/s",
             *[f"{n_missing} missing"] * (n_missing > 0),
         ]
         return ", ".join(title_parts)
@@ -419,7 +436,7 @@ def smooth_series(values: np.ndarray) -> np.ndarray:
 
     # Fourth differences of white errors have 70 times their variance; the median of chi^2 is 0.455.
     error_variance = float(np.median(np.diff(values, 4) ** 2)) / (70.0 * 0.455)
-    best_series, min_expected_error = values, error_variance
+    best_series, best_series_expected_error = values, error_variance
     for half_width in 2 ** np.arange(1, int(np.log2(len(values) / 4.0)) + 1):
         smoothed_series = savgol_filter(values, 2 * half_width + 1, 2)
         centre_weight = float(savgol_coeffs(2 * half_width + 1, 2)[half_width])
@@ -427,8 +444,8 @@ def smooth_series(values: np.ndarray) -> np.ndarray:
             float(np.mean((values - smoothed_series) ** 2))
             + (2.0 * centre_weight - 1.0) * error_variance
         )
-        if expected_error < min_expected_error:
-            best_series, min_expected_error = smoothed_series, expected_error
+        if expected_error < best_series_expected_error:
+            best_series, best_series_expected_error = smoothed_series, expected_error
     return np.asarray(best_series)
 
 
@@ -567,7 +584,7 @@ def _parse_number_or_nan(cell: str) -> float:
         return np.nan
 
 
-def _read_passages_and_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
+def _read_passages_and_tip_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Read the columns of a file with a row for each passage.
 
     Returns
@@ -584,13 +601,13 @@ def _read_passages_and_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray |
             raise InputError(
                 "path", str(path), f"a file with the column '{required_heading}'; {contents_text}"
             )
-    passages = number_columns[
+    passage_columns = number_columns[
         [headings.index(required_heading) for required_heading in REQUIRED_ARRIVAL_COLUMN_NAMES]
     ]
     if not line_numbers:
         raise InputError("path", str(path), "a file with rows of numbers below its headings")
-    is_finite = np.isfinite(passages[:4]).all(axis=0)
-    revolution_numbers = np.nan_to_num(passages[0])
+    is_finite = np.isfinite(passage_columns[:4]).all(axis=0)
+    revolution_numbers = np.nan_to_num(passage_columns[0])
     if not np.all(
         is_valid := is_finite
         & (revolution_numbers % 1.0 == 0.0)
@@ -602,7 +619,7 @@ def _read_passages_and_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray |
         raise InputError(
             "path", f"{path}, line {line_numbers[int(np.argmin(is_valid))]}", requirement_text
         )
-    return passages, number_columns[
+    return passage_columns, number_columns[
         headings.index(TIP_RADIUS_COLUMN_NAME)
     ] if TIP_RADIUS_COLUMN_NAME in headings else None
 
@@ -615,7 +632,7 @@ BLADE_AND_PROBE_HEADING_PATTERN = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\
 Groups: number of the blade, or None for the only blade; number of the probe.
 """
 RAD_PER_S_BY_SPEED_UNIT = {"rpm": RAD_PER_S_PER_RPM, "rad/s": 1.0, "Hz": RAD_PER_TURN}
-RAD_BY_ANGLE_UNIT = {"rad": 1.0, "deg": SI_UNIT_AND_FACTOR_BY_UNIT["deg"][1]}
+RAD_BY_ANGLE_UNIT = {"rad": 1.0, "deg": SI_UNIT_AND_FACTOR_BY_HEADING_UNIT["deg"][1]}
 SECONDS_BY_TIME_UNIT = {"s": 1.0}
 """Factors to rad/s, rad and s by unit, in the three tables for speeds, angles and times.
 
@@ -788,20 +805,24 @@ def write_record(
     """
     if not blades:
         raise InputError("blades", blades, "a dict with the arrivals of at least one blade")
-    first_arrivals = next(iter(blades.values()))
+    arrivals_of_first_blade = next(iter(blades.values()))
     column_by_heading: dict[str, Any] = {
-        "revolution": (first_arrivals.first + np.arange(len(first_arrivals))).tolist(),
-        "mark [s]": first_arrivals.marks[:-1].tolist(),
+        "revolution": (
+            arrivals_of_first_blade.first + np.arange(len(arrivals_of_first_blade))
+        ).tolist(),
+        "mark [s]": arrivals_of_first_blade.marks[:-1].tolist(),
     }
     probe_angles_by_blade = find_probe_angles_by_blade(probes, len(blades))
     for blade_number, arrivals in blades.items():
-        for probe_number, sorted_probe_index in enumerate(
+        for probe_number, probe_column_index in enumerate(
             np.argsort(np.argsort(probe_angles_by_blade[blade_number])), 1
         ):
             column_by_heading[f"blade {blade_number} probe {probe_number} [s]"] = arrivals.time[
-                :, sorted_probe_index
+                :, probe_column_index
             ].tolist()
-    column_by_heading[TIP_RADIUS_COLUMN_NAME] = [first_arrivals.tip_radius] * len(first_arrivals)
+    column_by_heading[TIP_RADIUS_COLUMN_NAME] = [arrivals_of_first_blade.tip_radius] * len(
+        arrivals_of_first_blade
+    )
     Table.from_dict(column_by_heading, {}).save(path)
 
 
@@ -861,13 +882,13 @@ def _read_mark_times(
         Revolution number for each row.
     """
     all_revolution_numbers = np.arange(revolution_numbers[0], revolution_numbers[-1] + 1)
-    for heading, row_values in column_by_heading.items():
+    for heading, column_values in column_by_heading.items():
         if re.match("mark", heading, re.IGNORECASE):
-            row_values = row_values * _find_unit_factor(path, heading, SECONDS_BY_TIME_UNIT)
-            mean_durations = np.diff(row_values) / np.diff(revolution_numbers)
+            column_values = column_values * _find_unit_factor(path, heading, SECONDS_BY_TIME_UNIT)
+            mean_durations = np.diff(column_values) / np.diff(revolution_numbers)
             if not np.all((mean_durations > 0.0) & np.isfinite(mean_durations)):
                 raise InputError("path", f"{path}: {heading}", "a column of increasing times")
-            marks = np.interp(all_revolution_numbers, revolution_numbers, row_values)
+            marks = np.interp(all_revolution_numbers, revolution_numbers, column_values)
             check_revolution_durations(
                 f"{path}: {heading}", np.diff(marks), int(revolution_numbers[0])
             )
@@ -878,7 +899,7 @@ def _read_mark_times(
                 marks, marks[-1] + 2.0 * last_two_durations[-1] - last_two_durations[0]
             )
         if "speed" in heading.lower() and not BLADE_AND_PROBE_HEADING_PATTERN.search(heading):
-            speeds = row_values * _find_unit_factor(path, heading, RAD_PER_S_BY_SPEED_UNIT)
+            speeds = column_values * _find_unit_factor(path, heading, RAD_PER_S_BY_SPEED_UNIT)
             if not np.all(speeds > 0.0):
                 raise InputError("path", f"{path}: {heading}", "a column of numbers > 0")
             speeds = np.interp(all_revolution_numbers, revolution_numbers, speeds)
@@ -923,8 +944,11 @@ def _read_arrival_angles(
                 "path", f"{path}: {heading} = {np.nanmedian(column):g}", requirement_text
             )
         return angles
-    mark_angles = find_mark_angles(int(revolution_numbers[0]), len(marks))
-    return interpolate_by_splines(marks, mark_angles, column) - RAD_PER_TURN * revolution_numbers
+    rotor_angles_at_marks = find_mark_angles(int(revolution_numbers[0]), len(marks))
+    return (
+        interpolate_by_splines(marks, rotor_angles_at_marks, column)
+        - RAD_PER_TURN * revolution_numbers
+    )
 
 
 def _build_arrivals(
@@ -949,8 +973,11 @@ def _build_arrivals(
     first_revolution : int
         First revolution's number.
     """
-    for column in angles.T:  # near the mark, angles jump between 0 and 2 pi
-        column -= RAD_PER_TURN * np.round((column - column[np.isfinite(column)][0]) / RAD_PER_TURN)
+    for probe_arrival_angles in angles.T:  # near the mark, angles jump between 0 and 2 pi
+        probe_arrival_angles -= RAD_PER_TURN * np.round(
+            (probe_arrival_angles - probe_arrival_angles[np.isfinite(probe_arrival_angles)][0])
+            / RAD_PER_TURN
+        )
     median_angles = np.nanmedian(angles, axis=0)
     probe_angles = (
         median_angles % RAD_PER_TURN if given_probe_angles is None else given_probe_angles
@@ -961,19 +988,23 @@ def _build_arrivals(
         )
     probe_order = np.argsort(probe_angles)
     row_indices = np.arange(len(angles))
-    for probe_index, revolution_lag in enumerate(
+    for probe_index, n_revolutions_to_move in enumerate(
         np.round((median_angles - probe_angles) / RAD_PER_TURN).astype(int)
     ):
         # An arrival before the row's mark, or after the next mark, moves to its own revolution.
         kept_row_indices = row_indices[
-            (row_indices >= revolution_lag) & (row_indices - revolution_lag < len(row_indices))
+            (row_indices >= n_revolutions_to_move)
+            & (row_indices - n_revolutions_to_move < len(row_indices))
         ]
-        moved_angles = (
-            angles[kept_row_indices - revolution_lag, probe_index] - RAD_PER_TURN * revolution_lag
+        angles_in_own_revolution = (
+            angles[kept_row_indices - n_revolutions_to_move, probe_index]
+            - RAD_PER_TURN * n_revolutions_to_move
         )
         angles[:, probe_index] = np.nan
-        angles[kept_row_indices, probe_index] = moved_angles
+        angles[kept_row_indices, probe_index] = angles_in_own_revolution
     angles = angles[:, probe_order]
-    mark_angles = find_mark_angles(first_revolution, len(marks))
-    time = interpolate_by_splines(mark_angles, marks, mark_angles[:-1, None] + angles)
+    rotor_angles_at_marks = find_mark_angles(first_revolution, len(marks))
+    time = interpolate_by_splines(
+        rotor_angles_at_marks, marks, rotor_angles_at_marks[:-1, None] + angles
+    )
     return ArrivalTimes(time, marks, probe_angles[probe_order], tip_radius, first_revolution)

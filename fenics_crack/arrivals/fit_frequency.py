@@ -40,7 +40,7 @@ from fenics_crack.arrivals.harmonics import (
     select_candidate,
 )
 from fenics_crack.arrivals.robust import (
-    CONFIDENCE_LEVELS,
+    SIGNIFICANCE_LIMITS,
     WEIGHT_CHANGE_TOLERANCE,
     find_least_squares_residuals,
     fit_noise_by_reweighting,
@@ -67,9 +67,9 @@ def fit_frequency(
     """Find a vibration of any frequency by least squares.
 
     If several frequencies fit equally well within errors, the result is the vibration with the
-    smallest amplitude. :attr:`TipFit.ambiguous` then has the other frequencies, divided by the mean
-    speed. Fit no more harmonics than needed: with two, half the true frequency may fit by its
-    second harmonic.
+    smallest amplitude. :attr:`TipFit.ambiguous_orders` then has the other frequencies, divided by
+    the mean speed. Fit no more harmonics than needed: with two, half the true frequency may fit by
+    its second harmonic.
 
     Parameters
     ----------
@@ -109,16 +109,16 @@ def fit_frequency(
         requirement_text = f"more than {n_unknowns}, the unknowns of the fit; fit fewer harmonics"
         raise InputError("arrivals", f"{n_arrivals} arrivals", requirement_text)
     arrivals_shape = arrivals.time.shape
-    constant_numbers = (
+    constant_indices = (
         np.arange(arrivals_shape[1]) * bool(angle_deviation) * np.ones(arrivals_shape, dtype=int)
     )
     displacements, omega_bounds = arrivals.displacement, (low, high)
     fit, noise_probability = _FrequencySearch(
-        arrivals, displacements, constant_numbers, harmonics, angle_deviation, omega_bounds
+        arrivals, displacements, constant_indices, harmonics, angle_deviation, omega_bounds
     ).find_best_fit_and_noise_probability()
     if (
         len(arrivals.probes) == 1
-        and noise_probability > CONFIDENCE_LEVELS.vibration_significance_level
+        and noise_probability > SIGNIFICANCE_LIMITS.vibration_significance_level
     ):
         probe_text = (
             f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
@@ -133,7 +133,7 @@ def fit_frequency(
 def find_lines_and_residuals(
     arrivals: ArrivalTimes,
     displacements: np.ndarray,
-    constant_numbers: np.ndarray,
+    constant_indices: np.ndarray,
     max_order: float,
     max_lines: int = 3,
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
@@ -149,7 +149,7 @@ def find_lines_and_residuals(
         The speed may vary.
     displacements : (revolutions, probes) [m]
         Displacements to search; nan without an arrival.
-    constant_numbers : (revolutions, probes) int
+    constant_indices : (revolutions, probes) int
         Index of the constant for each displacement; equal for displacements with a common constant.
     max_order : float
         Frequencies from half the mean speed are searched. The upper bound is ``max_order`` + 1 or
@@ -168,15 +168,15 @@ def find_lines_and_residuals(
     mean_speed = arrivals.mean_speed
     omega_bounds = 0.5 * mean_speed, mean_speed * (max(max_order, DEFAULT_TRIAL_ORDERS[-1]) + 1.0)
     residuals = np.array(displacements)
-    n_constants = len(np.unique(constant_numbers[np.isfinite(displacements)]))
+    n_constants = len(np.unique(constant_indices[np.isfinite(displacements)]))
     while len(line_fits) < max_lines and np.isfinite(residuals).sum() > 2 * (n_constants + 3):
         fit, noise_probability = _FrequencySearch(
-            arrivals, residuals, constant_numbers, 1, np.inf, omega_bounds
+            arrivals, residuals, constant_indices, 1, np.inf, omega_bounds
         ).find_best_fit_and_noise_probability()
-        if noise_probability > CONFIDENCE_LEVELS.vibration_significance_level:
+        if noise_probability > SIGNIFICANCE_LIMITS.vibration_significance_level:
             break
         line_fits.append(fit)
-        residuals -= fit.displacement(fit.phases(arrivals)) - fit.coefficients[0]
+        residuals -= fit.displacement(fit.angles_at_arrivals(arrivals)) - fit.coefficients[0]
     return tuple(line_fits), residuals
 
 
@@ -189,7 +189,7 @@ class _FrequencySearch:
         Record with the times and probes.
     displacements : (revolutions, probes) [m]
         Displacements; nan without an arrival.
-    constant_numbers : (revolutions, probes) int
+    constant_indices : (revolutions, probes) int
         Index of the constant for each displacement; equal for displacements with a common constant.
     n_harmonics : int
         Number K of harmonics.
@@ -214,29 +214,32 @@ class _FrequencySearch:
         self,
         arrivals: ArrivalTimes,
         displacements: np.ndarray,
-        constant_numbers: np.ndarray,
+        constant_indices: np.ndarray,
         n_harmonics: int,
         constants_deviation: float,
         omega_bounds: tuple[float, float],
     ) -> None:
         has_arrival = np.isfinite(displacements)
-        self._places, self._omega_bounds = np.nonzero(has_arrival), omega_bounds
+        self._revolution_and_probe_indices, self._omega_bounds = (
+            np.nonzero(has_arrival),
+            omega_bounds,
+        )
         self._arrivals, self._displacements = arrivals, displacements[has_arrival]
         self._arrival_times = arrivals.time[has_arrival] - arrivals.marks[0]
-        self._expected_arrival_times = arrivals.expected[has_arrival] - arrivals.marks[0]
+        self._arrival_times_without_vibration = arrivals.expected[has_arrival] - arrivals.marks[0]
         self._harmonic_orders = np.arange(1.0, n_harmonics + 1.0)
-        revolution_indices, _ = self._places
+        revolution_indices, _ = self._revolution_and_probe_indices
         self._duration = float(
             arrivals.marks[revolution_indices.max() + 1] - arrivals.marks[revolution_indices.min()]
         )
         self._probe_constant_columns = (
-            constant_numbers[has_arrival][:, None] == np.unique(constant_numbers[has_arrival])
+            constant_indices[has_arrival][:, None] == np.unique(constant_indices[has_arrival])
         ).astype(float)
         self._n_unknowns = 2 * n_harmonics + 1 + self._probe_constant_columns.shape[1]
         self._displacement_rounding = arrivals.displacement_rounding
         self._probe_constants_deviation = constants_deviation * arrivals.tip_radius
         self._probe_constants_weight = 0.0
-        self._set_constants_stiffness(
+        self._set_probe_constants_weight(
             float(
                 np.std(
                     self._subtract_constants(self._displacements, np.ones(len(revolution_indices)))
@@ -249,7 +252,7 @@ class _FrequencySearch:
             self._displacement_rounding,
         )  # fmt: skip
 
-    def _set_constants_stiffness(self, displacement_scatter: float) -> None:
+    def _set_probe_constants_weight(self, displacement_scatter: float) -> None:
         """Set the weight that keeps the constants near their mean.
 
         The weight is (s / d)^2, with the scatter s of displacements, ``displacement_scatter`` [m],
@@ -322,11 +325,11 @@ class _FrequencySearch:
         coefficients = np.linalg.lstsq(
             sqrt_weights * reduced_columns, sqrt_weights[:, 0] * reduced_displacements, rcond=1e-10
         )[0]
-        quadrature_waves = (
+        harmonic_derivatives_by_phase = (
             wave_columns[:, 0::2] * coefficients[1::2] - wave_columns[:, 1::2] * coefficients[0::2]
         )
         omega_slope = self._subtract_constants(
-            times * (quadrature_waves @ self._harmonic_orders), weights
+            times * (harmonic_derivatives_by_phase @ self._harmonic_orders), weights
         )
         return (
             coefficients,
@@ -356,11 +359,11 @@ class _FrequencySearch:
             )
             return sqrt_weights[:, 0] * residuals, omega_slopes
 
-        min_unit_steps, max_unit_steps = (
+        lower_step_bounds, upper_step_bounds = (
             [(omega_bound - omega) / omega_unit] for omega_bound in self._omega_bounds
         )
         find_least_squares_residuals(
-            evaluate, min_unit_steps, max_unit_steps, WEIGHT_CHANGE_TOLERANCE**2
+            evaluate, lower_step_bounds, upper_step_bounds, WEIGHT_CHANGE_TOLERANCE**2
         )  # a small tolerance, since peaks are compared by their sums of squares
         return best_omega, fit
 
@@ -386,22 +389,24 @@ class _FrequencySearch:
             (self._constants_absorb_vibration(columns), float(weights @ residuals**2), omega)
             for omega, (_, residuals, columns) in refined_omegas_and_fits
         ]
-        separate_omegas: list[float] = []
+        distinct_peak_omegas: list[float] = []
         for _, _, omega in sorted(refined_peaks):  # best first; leave out side lobes of a peak
             if all(
-                abs(omega - separate_omega) >= 2.0 * RAD_PER_TURN / self._duration
-                for separate_omega in separate_omegas
+                abs(omega - distinct_peak_omega) >= 2.0 * RAD_PER_TURN / self._duration
+                for distinct_peak_omega in distinct_peak_omegas
             ):
-                separate_omegas.append(omega)
-        self.omega = separate_omegas[0]
+                distinct_peak_omegas.append(omega)
+        self.omega = distinct_peak_omegas[0]
         self._fit_with_reweighting()
-        candidates, self.omega = self._compare_omegas_and_select(
-            np.sort([self.omega, *separate_omegas[1:]])
+        compared_candidates, self.omega = self._compare_omegas_and_select(
+            np.sort([self.omega, *distinct_peak_omegas[1:]])
         )
         self._fit_with_reweighting()
         # The error of a mark is common to all arrivals in a revolution: the likelihood alone would
         # overestimate the significance.
-        covariance = self.noise.coefficient_covariance(self.columns, self._places)[:-1, :-1]
+        covariance = self.noise.coefficient_covariance(
+            self.columns, self._revolution_and_probe_indices
+        )[:-1, :-1]
         wald_statistic = float(
             self.coefficients @ np.linalg.lstsq(covariance, self.coefficients, rcond=1e-10)[0]
         )
@@ -416,7 +421,7 @@ class _FrequencySearch:
             * float(chdtrc(2 * len(self._harmonic_orders) + 1, significance_statistic)),
             1.0,
         )
-        return self._build_tip_fit(candidates), 1.0 if self._constants_absorb_vibration(
+        return self._build_tip_fit(compared_candidates), 1.0 if self._constants_absorb_vibration(
             self.columns
         ) else chance
 
@@ -437,16 +442,16 @@ class _FrequencySearch:
         """
         min_omega, max_omega = self._omega_bounds
         omega_step = RAD_PER_TURN / (4.0 * self._duration)  # a quarter of the resolution
-        first_step = int(np.ceil(min_omega / omega_step))
-        end_step = int(np.floor(max_omega / omega_step)) + 1
-        if not 0 < end_step - first_step < MAX_SCANNED_FREQUENCIES:
+        first_frequency_number = int(np.ceil(min_omega / omega_step))
+        end_frequency_number = int(np.floor(max_omega / omega_step)) + 1
+        if not 0 < end_frequency_number - first_frequency_number < MAX_SCANNED_FREQUENCIES:
             requirement_text = (
                 f"between {omega_step:.3g} and {MAX_SCANNED_FREQUENCIES * omega_step:.3g} rad/s "
                 "for a record of this duration"
             )
             raise InputError("high - low", max_omega - min_omega, requirement_text)
         noise_psi = self._noise_without_vibration.psi
-        power = np.zeros(end_step - first_step)
+        power = np.zeros(end_frequency_number - first_frequency_number)
         block_size = 10**6  # frequencies at once, to limit the memory
         for multiple, block_start in itertools.product(
             self._harmonic_orders, range(0, len(power), block_size)
@@ -455,7 +460,7 @@ class _FrequencySearch:
             spectrum = _compute_spectrum(
                 multiple * omega_step * self._arrival_times,
                 noise_psi,
-                first_step + block_start,
+                first_frequency_number + block_start,
                 len(power_block),
             )
             power_block += np.abs(spectrum) ** 2
@@ -465,7 +470,7 @@ class _FrequencySearch:
         if power[peak_indices[0]] < np.log(len(power)) * float(noise_psi @ noise_psi):
             peak_indices = peak_indices[:1]  # as high as in noise: exponentially distributed
         is_high = power[peak_indices] > MIN_RELATIVE_PEAK_POWER * power[peak_indices[0]]
-        return np.asarray(omega_step * (first_step + peak_indices[is_high]))
+        return np.asarray(omega_step * (first_frequency_number + peak_indices[is_high]))
 
     def _fit_with_reweighting(self) -> None:
         """Fit frequency, harmonics and constants, in turns with the arrivals' weights.
@@ -483,7 +488,7 @@ class _FrequencySearch:
         self.noise = fit_noise_by_reweighting(
             solve, np.ones(len(self._displacements)), self._n_unknowns, self._displacement_rounding
         )
-        self._set_constants_stiffness(self.noise.scale)
+        self._set_probe_constants_weight(self.noise.scale)
 
     def _compare_omegas_and_select(self, omegas: np.ndarray) -> tuple[Candidates, float]:
         """Fit each of several frequencies (n,) [rad/s], and select the best.
@@ -498,7 +503,7 @@ class _FrequencySearch:
             Selected frequency: the smallest vibration among equally good ones.
         """
         weights = self.noise.weights
-        allowed_difference = CONFIDENCE_LEVELS.allowed_cost_difference * self.noise.scale**2
+        allowed_difference = SIGNIFICANCE_LIMITS.allowed_cost_difference * self.noise.scale**2
         coefficient_rows, residual_rows, columns_of_omegas = zip(
             *[
                 self._fit_harmonics(omega, weights, self._displacements, self._arrival_times)
@@ -515,14 +520,19 @@ class _FrequencySearch:
             ~is_hidden,
         )
         # Displaced arrivals distinguish aliases, but not reliably: compare at expected arrivals.
-        expected_wave = (
-            fourier_basis(omegas[best_index] * self._expected_arrival_times, self._harmonic_orders)[
-                :, 1:
-            ]
+        best_wave_at_expected_arrivals = (
+            fourier_basis(
+                omegas[best_index] * self._arrival_times_without_vibration, self._harmonic_orders
+            )[:, 1:]
             @ coefficient_rows[best_index]
         )
         wave_residuals = [
-            self._fit_harmonics(omega, weights, expected_wave, self._expected_arrival_times)[1]
+            self._fit_harmonics(
+                omega,
+                weights,
+                best_wave_at_expected_arrivals,
+                self._arrival_times_without_vibration,
+            )[1]
             for omega in omegas
         ]
         is_equivalent |= np.square(wave_residuals) @ weights < allowed_difference
@@ -547,18 +557,22 @@ class _FrequencySearch:
         orders[np.abs(orders - order).argmin()] = order
         n_spare = len(self._displacements) - self._n_unknowns
         fit_covariance = student_variance_ratio(n_spare) * self.noise.coefficient_covariance(
-            self.columns, self._places
+            self.columns, self._revolution_and_probe_indices
         )
         mean_variance = (
-            student_variance_ratio(n_spare) * self.noise.variance / len(self._displacements)
+            student_variance_ratio(n_spare)
+            * self.noise.equivalent_normal_variance
+            / len(self._displacements)
         )
         covariance = block_diag(mean_variance, fit_covariance[:-1, :-1])
-        fitted_wave = (
+        fitted_wave_displacements = (
             fourier_basis(self.omega * self._arrival_times, self._harmonic_orders)[:, 1:]
             @ self.coefficients
         )
         weights = self.noise.weights
-        mean_displacement = float(weights @ (self._displacements - fitted_wave) / weights.sum())
+        mean_displacement = float(
+            weights @ (self._displacements - fitted_wave_displacements) / weights.sum()
+        )
         return TipFit(
             order=order,
             order_error=float(np.sqrt(fit_covariance[-1, -1])) / mean_speed,
@@ -566,7 +580,7 @@ class _FrequencySearch:
             multiples=self._harmonic_orders,
             coefficients=np.append(mean_displacement, self.coefficients),
             covariance=covariance,
-            scatter=float(np.sqrt(self.noise.variance)),
+            scatter=float(np.sqrt(self.noise.equivalent_normal_variance)),
             misfit=np.nan,
             spare=n_spare,
             candidates=replace(candidates, orders=orders),
@@ -595,21 +609,23 @@ def _compute_spectrum(
         Sums for m, m + 1, ....
     """
     reach_in_cells = 8  # neighbours on each side, for eleven digits
-    n_modes = 2 * (n_frequencies // 2 + 1)
-    middle_mode, n_cells = n_modes // 2, 2 * n_modes
+    n_spectrum_frequencies = 2 * (n_frequencies // 2 + 1)
+    middle_mode, n_cells = n_spectrum_frequencies // 2, 2 * n_spectrum_frequencies
     # Width by Greengard and Lee for a grid twice as fine as the spectrum.
-    gaussian_width = np.pi * reach_in_cells / (n_modes**2 * 3.0)
+    gaussian_width = np.pi * reach_in_cells / (n_spectrum_frequencies**2 * 3.0)
     shifted_terms = values * np.exp(-1j * (first_frequency_number + middle_mode) * phases)
     nearest_cells = np.floor(phases * n_cells / RAD_PER_TURN).astype(int)
     grid = np.zeros(n_cells, dtype=complex)
-    for cell_offset in range(1 - reach_in_cells, reach_in_cells + 1):
-        cell_indices = nearest_cells + cell_offset
-        spread_terms = shifted_terms * np.exp(
-            -((phases - RAD_PER_TURN * cell_indices / n_cells) ** 2) / (4.0 * gaussian_width)
+    for offset_from_nearest_cell in range(1 - reach_in_cells, reach_in_cells + 1):
+        phase_cell_indices = nearest_cells + offset_from_nearest_cell
+        gaussian_weighted_terms = shifted_terms * np.exp(
+            -((phases - RAD_PER_TURN * phase_cell_indices / n_cells) ** 2) / (4.0 * gaussian_width)
         )
-        grid += np.bincount(cell_indices % n_cells, spread_terms.real, n_cells)
-        grid += 1j * np.bincount(cell_indices % n_cells, spread_terms.imag, n_cells)
-    mode_numbers = np.arange(n_modes) - middle_mode
+        grid += np.bincount(phase_cell_indices % n_cells, gaussian_weighted_terms.real, n_cells)
+        grid += 1j * np.bincount(
+            phase_cell_indices % n_cells, gaussian_weighted_terms.imag, n_cells
+        )
+    mode_numbers = np.arange(n_spectrum_frequencies) - middle_mode
     spectrum = np.fft.fft(grid)[mode_numbers] / n_cells
     return np.asarray(
         spectrum * np.sqrt(np.pi / gaussian_width) * np.exp(mode_numbers**2 * gaussian_width)

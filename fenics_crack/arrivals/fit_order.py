@@ -39,8 +39,8 @@ from fenics_crack.arrivals.harmonics import (
     select_candidate,
 )
 from fenics_crack.arrivals.robust import (
-    CONFIDENCE_LEVELS,
     MAX_DEPENDENT_EIGENVALUE_RATIO,
+    SIGNIFICANCE_LIMITS,
     fit_noise_by_reweighting,
     student_variance_ratio,
 )
@@ -117,7 +117,7 @@ def fit_order(
     means = ProbeMeans(arrivals, period_in_revolutions, max_order, angle_deviation)
     fit = _fit_best_order(arrivals, means, candidate_orders, multiples)
     if means.lines and not fit.does_not_fit:  # repeat: lines displace the tip to other angles
-        line_displacement_changes = means.compute_displacement_changes_by_lines(arrivals, fit)
+        line_displacement_changes = means.compute_changes_by_spectral_lines(arrivals, fit)
         means = ProbeMeans(
             arrivals, period_in_revolutions, max_order, angle_deviation, line_displacement_changes
         )
@@ -151,33 +151,35 @@ def _fit_best_order(
     for order_index, fit in fit_by_index.items():
         residual_square_sums[order_index] = fit.sum_of_squares
         vibration_sizes[order_index] = np.linalg.norm(fit.coefficients[1:])
-    variance_ratio, misfit, freedom = means.run_misfit_f_test(
+    estimated_to_assumed_variance, misfit, freedom = means.run_misfit_f_test(
         float(residual_square_sums.min()), n_unknowns
     )
     is_equivalent, best_index = select_candidate(
         residual_square_sums,
         vibration_sizes,
-        CONFIDENCE_LEVELS.allowed_cost_difference * variance_ratio,
+        SIGNIFICANCE_LIMITS.allowed_cost_difference * estimated_to_assumed_variance,
     )
     best_fit = fit_by_index[best_index]
     # Displaced arrivals distinguish aliases, but not reliably: compare at the probes' angles.
     best_wave = (
-        fourier_basis(orders[best_index] * means.nominal_angles, multiples) @ best_fit.coefficients
+        fourier_basis(orders[best_index] * means.rotor_angles_without_vibration, multiples)
+        @ best_fit.coefficients
     )
     wave_residual_square_sums = np.array(
         [means.compute_wave_residual_square_sum(best_wave, order, multiples) for order in orders]
     )
     is_equivalent |= (
-        wave_residual_square_sums < CONFIDENCE_LEVELS.allowed_cost_difference * variance_ratio
+        wave_residual_square_sums
+        < SIGNIFICANCE_LIMITS.allowed_cost_difference * estimated_to_assumed_variance
     )
-    covariance_factor = finite_ratio = variance_ratio if np.isfinite(variance_ratio) else np.nan
+    covariance_factor = finite_variance_ratio = (
+        estimated_to_assumed_variance if np.isfinite(estimated_to_assumed_variance) else np.nan
+    )
     if means.covariance_degrees_of_freedom > 0 and len(means.displacements) > n_unknowns + 1:
         # An order is not excluded if omitted harmonics explain the difference.
         for order_index, fit in fit_by_index.items():
-            costs[order_index], fit_by_index[order_index] = means.find_cost_and_fit_with_omitted(
-                fit
-            )
-        is_equivalent |= costs - costs.min() < CONFIDENCE_LEVELS.allowed_cost_difference
+            costs[order_index], fit_by_index[order_index] = means.refit_with_higher_harmonics(fit)
+        is_equivalent |= costs - costs.min() < SIGNIFICANCE_LIMITS.allowed_cost_difference
         best_fit = fit_by_index[best_index]
         covariance_factor, _, freedom = means.run_misfit_f_test(best_fit.sum_of_squares, n_unknowns)
         covariance_factor = max(covariance_factor, 1.0)
@@ -192,9 +194,9 @@ def _fit_best_order(
         multiples=multiples,
         coefficients=best_fit.coefficients,
         covariance=best_fit.covariance,
-        scatter=means.scatter * float(np.sqrt(finite_ratio)),
+        scatter=means.scatter * float(np.sqrt(finite_variance_ratio)),
         misfit=misfit,
-        folded=means.compute_folding_chance(best_fit),
+        folded=means.compute_amplitude_error_probability(best_fit),
         candidates=_make_candidates(
             means, orders, multiples, is_equivalent, np.isinf(residual_square_sums)
         ),
@@ -222,7 +224,8 @@ def _make_candidates(
         True for orders that fit as well as the best, and for orders without a fit.
     """
     condition_numbers = [
-        condition_number(fourier_basis(order * means.nominal_angles, multiples)) for order in orders
+        condition_number(fourier_basis(order * means.rotor_angles_without_vibration, multiples))
+        for order in orders
     ]
     rms_residuals = [means.compute_rms_residual(order, multiples) for order in orders]
     return Candidates(
@@ -239,15 +242,18 @@ def _find_period_in_revolutions(orders: np.ndarray, multiples: np.ndarray) -> in
     """
     max_allowed_period = 24
     response_orders = np.multiply.outer(orders, multiples).ravel()
-    order_fractions = [
+    orders_as_fractions = [
         Fraction(response_order).limit_denominator(max_allowed_period)
         for response_order in response_orders.tolist()
     ]
     period_in_revolutions = math.lcm(
-        *(order_fraction.denominator for order_fraction in order_fractions)
+        *(order_as_fraction.denominator for order_as_fraction in orders_as_fractions)
     )
     if period_in_revolutions > max_allowed_period or np.any(
-        np.abs([float(order_fraction) for order_fraction in order_fractions] - response_orders)
+        np.abs(
+            [float(order_as_fraction) for order_as_fraction in orders_as_fractions]
+            - response_orders
+        )
         > 1e-9
     ):
         requirement_text = (
@@ -273,7 +279,7 @@ class OrderFit:
         Coefficient covariance.
     sum_of_squares : float
         Sum of squared residuals, each in units of the standard deviation.
-    residual_per_displacement_error : (g,)
+    residual_slope_by_displacement : (g,)
         Residual by an error of 1 in the measured displacement: 1 + u' / R, with tip radius R and
         u' = du / d alpha. The measured displacement also gives the rotor angle alpha, at which the
         fitted displacement u is evaluated.
@@ -284,7 +290,7 @@ class OrderFit:
     coefficients: np.ndarray
     covariance: np.ndarray
     sum_of_squares: float
-    residual_per_displacement_error: np.ndarray
+    residual_slope_by_displacement: np.ndarray
 
 
 class Sample:
@@ -292,7 +298,7 @@ class Sample:
 
     Parameters
     ----------
-    nominal_angles : (g,) [rad]
+    rotor_angles_without_vibration : (g,) [rad]
         Rotor angles when the blade tip without vibration passes the probes.
     displacements : (g,) [m]
         Displacements.
@@ -312,17 +318,17 @@ class Sample:
 
     def __init__(
         self,
-        nominal_angles: np.ndarray,
+        rotor_angles_without_vibration: np.ndarray,
         displacements: np.ndarray,
         covariance: np.ndarray,
         covariance_degrees_of_freedom: int,
         tip_radius: float,
     ) -> None:
-        self.nominal_angles = nominal_angles
+        self.rotor_angles_without_vibration = rotor_angles_without_vibration
         self.displacements = displacements
         self.covariance_degrees_of_freedom = covariance_degrees_of_freedom
         self._tip_radius = tip_radius
-        self.angles = nominal_angles - displacements / tip_radius
+        self.angles = rotor_angles_without_vibration - displacements / tip_radius
         self.covariance = covariance
         # The error of a probe's angle is common to all means of the probe: nearly singular.
         self._covariance_cholesky_factor = np.linalg.cholesky(
@@ -337,26 +343,26 @@ class Sample:
         would move backwards past the probe.
         """
         wave_columns = fourier_basis(order * self.angles, multiples)
-        nominal_columns = fourier_basis(order * self.nominal_angles, multiples)
+        nominal_columns = fourier_basis(order * self.rotor_angles_without_vibration, multiples)
         if np.isinf(condition_number(nominal_columns)) or np.isinf(condition_number(wave_columns)):
             return None
-        residual_per_displacement_error = np.ones(len(wave_columns))
+        residual_slope_by_displacement = np.ones(len(wave_columns))
         # An arrival late by e [s] has a residual of the size R W e (1 + u' / R): the fit is
         # evaluated at a rotor angle larger by W e.
         for _ in range(2):
-            fitted_residual_per_error = residual_per_displacement_error
+            fitted_residual_per_error = residual_slope_by_displacement
             (whitened_columns, whitened_displacements) = self._whiten_columns_and_values(
-                wave_columns, self.displacements, residual_per_displacement_error
+                wave_columns, self.displacements, residual_slope_by_displacement
             )
             coefficients = np.linalg.lstsq(whitened_columns, whitened_displacements, rcond=None)[0]
-            quadrature_waves = (
+            harmonic_derivatives_by_phase = (
                 wave_columns[:, 1::2] * coefficients[2::2]
                 - wave_columns[:, 2::2] * coefficients[1::2]
             )
-            residual_per_displacement_error = (
-                1.0 + order * quadrature_waves @ multiples / self._tip_radius
+            residual_slope_by_displacement = (
+                1.0 + order * harmonic_derivatives_by_phase @ multiples / self._tip_radius
             )
-            if np.any(residual_per_displacement_error <= 0.0):
+            if np.any(residual_slope_by_displacement <= 0.0):
                 return None
         residuals = whitened_displacements - whitened_columns @ coefficients
         covariance = np.linalg.inv(whitened_columns.T @ whitened_columns)
@@ -370,23 +376,23 @@ class Sample:
         )
 
     def _whiten_columns_and_values(
-        self, columns: np.ndarray, values: np.ndarray, residual_per_displacement_error: np.ndarray
+        self, columns: np.ndarray, values: np.ndarray, residual_slope_by_displacement: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Scale equations so that errors are independent, with variance 1.
 
-        Each equation is divided by its ``residual_per_displacement_error`` (g,). The inverse of the
+        Each equation is divided by its ``residual_slope_by_displacement`` (g,). The inverse of the
         covariance's Cholesky factor then multiplies all equations. Given and returned: columns (g,
         m), the derivatives by the unknowns, and values (g,), the right-hand side.
         """
         columns_and_values = (
-            np.column_stack([columns, values]) / residual_per_displacement_error[:, None]
+            np.column_stack([columns, values]) / residual_slope_by_displacement[:, None]
         )
         columns_and_values = solve_triangular(
             self._covariance_cholesky_factor, columns_and_values, lower=True
         )
         return columns_and_values[:, :-1], columns_and_values[:, -1]
 
-    def find_cost_and_fit_with_omitted(self, fit: OrderFit) -> tuple[float, OrderFit]:
+    def refit_with_higher_harmonics(self, fit: OrderFit) -> tuple[float, OrderFit]:
         """Repeat a fit with the likeliest size of omitted harmonics.
 
         Omitted are the next three harmonics (:data:`N_OMITTED_HARMONICS_TO_FOLD`) above the fitted
@@ -400,13 +406,13 @@ class Sample:
         fit : OrderFit
             New coefficients and covariance, with the errors by omitted harmonics.
         """
-        costs, fits = self.list_costs_and_fits_by_omitted_size(
+        costs, fits_by_omitted_size = self.list_refits_by_harmonic_size(
             fit, self._list_omitted_harmonic_sizes(fit)
         )
         best_index = int(np.argmin(costs))
-        return float(costs[best_index]), fits[best_index]
+        return float(costs[best_index]), fits_by_omitted_size[best_index]
 
-    def list_costs_and_fits_by_omitted_size(
+    def list_refits_by_harmonic_size(
         self, fit: OrderFit, omitted_sizes: np.ndarray
     ) -> tuple[np.ndarray, list[OrderFit]]:
         """Repeat a fit for several sizes of omitted harmonics.
@@ -434,7 +440,7 @@ class Sample:
             for coefficients, covariance, residual_square_sum in zip(*estimate_arrays, strict=True)
         ]
 
-    def compute_folding_chance(self, fit: OrderFit) -> float:
+    def compute_amplitude_error_probability(self, fit: OrderFit) -> float:
         """Return the probability that omitted harmonics make an amplitude wrong.
 
         An amplitude is wrong if it is off by over three standard errors; the worst amplitude of the
@@ -444,24 +450,37 @@ class Sample:
         """
         if self.covariance_degrees_of_freedom < 1:
             return np.nan
-        omitted_size_rows = np.array(
+        harmonic_sizes_by_trial = np.array(
             list(
                 product(self._list_omitted_harmonic_sizes(fit), repeat=N_OMITTED_HARMONICS_TO_FOLD)
             )
         )
-        costs, *estimate_arrays, _ = self._solve_with_omitted_harmonics(fit, omitted_size_rows)
-        likelihood_weights = np.exp(0.5 * (costs.min() - costs))
-        fitted_amplitudes, fitted_errors = compute_amplitudes_and_errors(
+        costs, *estimate_arrays, _ = self._solve_with_omitted_harmonics(
+            fit, harmonic_sizes_by_trial
+        )
+        trial_likelihoods = np.exp(0.5 * (costs.min() - costs))
+        amplitudes_of_given_fit, fitted_amplitude_errors = compute_amplitudes_and_errors(
             fit.coefficients, fit.covariance
         )
-        amplitudes, amplitude_errors = compute_amplitudes_and_errors(*estimate_arrays)
-        allowed_deviations = CONFIDENCE_LEVELS.equal_fit_standard_errors * fitted_errors
-        upper_cdf, lower_cdf = (
-            ndtr((fitted_amplitudes + interval_end - amplitudes) / amplitude_errors)
-            for interval_end in (allowed_deviations, -allowed_deviations)
+        trial_amplitudes, trial_amplitude_errors = compute_amplitudes_and_errors(*estimate_arrays)
+        allowed_amplitude_deviations = (
+            SIGNIFICANCE_LIMITS.n_standard_errors_of_equal_fits * fitted_amplitude_errors
+        )
+        cdf_at_upper_amplitude_bound, cdf_at_lower_amplitude_bound = (
+            ndtr(
+                (amplitudes_of_given_fit + amplitude_deviation_bound - trial_amplitudes)
+                / trial_amplitude_errors
+            )
+            for amplitude_deviation_bound in (
+                allowed_amplitude_deviations,
+                -allowed_amplitude_deviations,
+            )
         )
         return 1.0 - float(
-            (likelihood_weights @ (upper_cdf - lower_cdf)).min() / likelihood_weights.sum()
+            (
+                trial_likelihoods @ (cdf_at_upper_amplitude_bound - cdf_at_lower_amplitude_bound)
+            ).min()
+            / trial_likelihoods.sum()
         )
 
     def _list_omitted_harmonic_sizes(self, fit: OrderFit) -> np.ndarray:
@@ -487,7 +506,7 @@ class Sample:
         )
 
     def _solve_with_omitted_harmonics(
-        self, fit: OrderFit, omitted_size_rows: np.ndarray
+        self, fit: OrderFit, harmonic_sizes_by_trial: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Repeat a fit with omitted harmonics as further unknowns, in n trials.
 
@@ -495,7 +514,7 @@ class Sample:
         ----------
         fit : OrderFit
             Fit without omitted harmonics.
-        omitted_size_rows : (n, N_OMITTED_HARMONICS_TO_FOLD) [m]
+        harmonic_sizes_by_trial : (n, N_OMITTED_HARMONICS_TO_FOLD) [m]
             Standard deviation of each omitted harmonic's coefficients; the expected value is 0.
 
         Returns
@@ -520,15 +539,15 @@ class Sample:
             wave_columns[:, :n_unknowns].T @ wave_columns[:, :n_unknowns]
         )[1]
         wave_columns, whitened_displacements = self._whiten_columns_and_values(
-            wave_columns, self.displacements, fit.residual_per_displacement_error
+            wave_columns, self.displacements, fit.residual_slope_by_displacement
         )
-        column_scales = np.ones((len(omitted_size_rows), wave_columns.shape[1]))
-        column_scales[:, n_unknowns:] = np.repeat(omitted_size_rows, 2, axis=1)
-        normal_matrices = (
+        column_scales = np.ones((len(harmonic_sizes_by_trial), wave_columns.shape[1]))
+        column_scales[:, n_unknowns:] = np.repeat(harmonic_sizes_by_trial, 2, axis=1)
+        normal_matrices_by_trial = (
             column_scales[:, :, None] * (wave_columns.T @ wave_columns) * column_scales[:, None, :]
         )
-        normal_matrices += np.diag(np.arange(wave_columns.shape[1]) >= n_unknowns)
-        covariances = np.linalg.inv(normal_matrices)
+        normal_matrices_by_trial += np.diag(np.arange(wave_columns.shape[1]) >= n_unknowns)
+        covariances = np.linalg.inv(normal_matrices_by_trial)
         coefficients = (
             covariances @ (column_scales * (wave_columns.T @ whitened_displacements))[..., None]
         )[..., 0]
@@ -536,7 +555,11 @@ class Sample:
         residual_square_sums = (residuals**2).sum(axis=1) + (coefficients[:, n_unknowns:] ** 2).sum(
             axis=1
         )
-        costs = residual_square_sums + np.linalg.slogdet(normal_matrices)[1] - log_gram_determinant
+        costs = (
+            residual_square_sums
+            + np.linalg.slogdet(normal_matrices_by_trial)[1]
+            - log_gram_determinant
+        )
         return (
             costs,
             coefficients[:, :n_unknowns],
@@ -575,7 +598,7 @@ class Sample:
         chance = float(
             fdtrc(n_spare, self.covariance_degrees_of_freedom, residual_square_sum / n_spare)
         )
-        if chance < CONFIDENCE_LEVELS.errors_from_misfit_significance_level:
+        if chance < SIGNIFICANCE_LIMITS.errors_from_misfit_significance_level:
             return residual_square_sum / n_spare, chance, np.inf
         return (
             (self.covariance_degrees_of_freedom + residual_square_sum) / total_freedom,
@@ -603,7 +626,7 @@ class ProbeMeans(Sample):
         Probe angles' standard deviation.
     line_displacement_changes : (revolutions, probes) [m]
         Changes to subtract from the measured displacements, from
-        :meth:`compute_displacement_changes_by_lines`; 0 in the first fit.
+        :meth:`compute_changes_by_spectral_lines`; 0 in the first fit.
 
     Attributes
     ----------
@@ -627,17 +650,17 @@ class ProbeMeans(Sample):
     ) -> None:
         n_revolutions, n_probes = arrivals.time.shape
         row_in_period = (arrivals.first + np.arange(n_revolutions)) % period_in_revolutions
-        constant_numbers = row_in_period[:, None] * n_probes + np.arange(n_probes)
+        constant_indices = row_in_period[:, None] * n_probes + np.arange(n_probes)
         self.lines, displacements = find_lines_and_residuals(
-            arrivals, arrivals.displacement - line_displacement_changes, constant_numbers, max_order
+            arrivals, arrivals.displacement - line_displacement_changes, constant_indices, max_order
         )
         has_arrival = np.isfinite(displacements)
-        places = np.nonzero(has_arrival)
-        group_numbers, group_indices = np.unique(constant_numbers[has_arrival], return_inverse=True)
+        revolution_and_probe_indices = np.nonzero(has_arrival)
+        group_numbers, group_indices = np.unique(constant_indices[has_arrival], return_inverse=True)
         self._arrival_displacements, self._group_indices = displacements[has_arrival], group_indices
-        nominal_angles = arrivals.probes[group_numbers % n_probes] + RAD_PER_TURN * (
-            group_numbers // n_probes
-        )
+        rotor_angles_without_vibration = arrivals.probes[
+            group_numbers % n_probes
+        ] + RAD_PER_TURN * (group_numbers // n_probes)
         covariance_degrees_of_freedom = len(group_indices) - len(group_numbers)
 
         def solve(weights: np.ndarray) -> np.ndarray:
@@ -653,38 +676,42 @@ class ProbeMeans(Sample):
         self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(group_indices))
         if covariance_degrees_of_freedom > 0:
             self.scatter = max(
-                float(np.sqrt(student_noise.variance)), arrivals.displacement_rounding
+                float(np.sqrt(student_noise.equivalent_normal_variance)),
+                arrivals.displacement_rounding,
             )
-            covariance = student_noise.coefficient_covariance(group_columns, places)
+            covariance = student_noise.coefficient_covariance(
+                group_columns, revolution_and_probe_indices
+            )
             covariance += np.eye(len(group_numbers)) * arrivals.displacement_rounding**2
             probe_indices = group_numbers % n_probes
             angle_variance = (arrivals.tip_radius * angle_deviation) ** 2
             covariance += angle_variance * (probe_indices[:, None] == probe_indices)
         super().__init__(
-            nominal_angles,
+            rotor_angles_without_vibration,
             self.displacements,
             covariance,
             covariance_degrees_of_freedom,
             arrivals.tip_radius,
         )
 
-    def compute_displacement_changes_by_lines(
-        self, arrivals: ArrivalTimes, fit: TipFit
-    ) -> np.ndarray:
+    def compute_changes_by_spectral_lines(self, arrivals: ArrivalTimes, fit: TipFit) -> np.ndarray:
         """Return how :attr:`lines` change the displacements by an engine order.
 
         The lines are vibrations with constant frequencies. They displace the blade tip, so a
         probe sees it at another rotor angle. There the vibration at the engine order, ``fit``, has
         another displacement. The change is (revolutions, probes) [m].
         """
-        group_angles = np.full(arrivals.time.shape, np.nan)
-        group_angles[np.isfinite(arrivals.time)] = self.angles[self._group_indices]
-        line_motion = sum(
-            line_fit.displacement(line_fit.phases(arrivals)) - line_fit.coefficients[0]
-            for line_fit in self.lines
+        rotor_angles_at_means = np.full(arrivals.time.shape, np.nan)
+        rotor_angles_at_means[np.isfinite(arrivals.time)] = self.angles[self._group_indices]
+        spectral_line_motion = sum(
+            spectral_line_fit.displacement(spectral_line_fit.angles_at_arrivals(arrivals))
+            - spectral_line_fit.coefficients[0]
+            for spectral_line_fit in self.lines
         )
-        moved_displacements = fit.displacement(group_angles - line_motion / arrivals.tip_radius)
-        return moved_displacements - fit.displacement(group_angles)
+        displacements_at_moved_angles = fit.displacement(
+            rotor_angles_at_means - spectral_line_motion / arrivals.tip_radius
+        )
+        return displacements_at_moved_angles - fit.displacement(rotor_angles_at_means)
 
     def compute_wave_residual_square_sum(
         self, wave: np.ndarray, order: float, multiples: np.ndarray
@@ -695,7 +722,7 @@ class ProbeMeans(Sample):
         the nominal angles. The result is the sum of squared residuals, each over its standard
         deviation.
         """
-        wave_columns = fourier_basis(order * self.nominal_angles, multiples)
+        wave_columns = fourier_basis(order * self.rotor_angles_without_vibration, multiples)
         wave_columns, whitened_wave = self._whiten_columns_and_values(
             wave_columns, wave, np.ones(len(wave))
         )

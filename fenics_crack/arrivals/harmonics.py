@@ -10,8 +10,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.robust import CONFIDENCE_LEVELS
+from fenics_crack.arrivals.robust import SIGNIFICANCE_LIMITS
 from fenics_crack.basics.errors import InputError, check_count, check_number
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import (
     Tabular,
     add_frequency_entries,
@@ -69,6 +70,7 @@ class Candidates(Tabular):
         return f"{len(self.orders)} orders, {counts_text}"
 
 
+@keep_old_attribute_names(may_be_folded="may_contain_aliased_harmonics")
 class HarmonicFit(Tabular):
     """Hold harmonics fitted to arrivals, and tests of the fit.
 
@@ -86,10 +88,10 @@ class HarmonicFit(Tabular):
 
         Harmonics are then missing, or the order is wrong. False without a test.
         """
-        return self.misfit < CONFIDENCE_LEVELS.misfit_significance_level
+        return self.misfit < SIGNIFICANCE_LIMITS.misfit_significance_level
 
     @property
-    def may_be_folded(self) -> bool:
+    def may_contain_aliased_harmonics(self) -> bool:
         """True if harmonics outside the fit may have changed a fitted amplitude.
 
         The property is True if ``folded`` exceeds 0.0455, the probability of a normal number beyond
@@ -106,9 +108,10 @@ class HarmonicFit(Tabular):
             "harmonics that are not fitted may be aliased onto these: fit more harmonics, or use "
             "more probes"
         )
-        return [folding_text] * self.may_be_folded
+        return [folding_text] * self.may_contain_aliased_harmonics
 
 
+@keep_old_attribute_names(ambiguous="ambiguous_orders", phases="angles_at_arrivals")
 @dataclass(frozen=True, repr=False)
 class TipFit(HarmonicFit):
     """Hold a periodic vibration fitted to arrival times.
@@ -121,7 +124,7 @@ class TipFit(HarmonicFit):
     Attributes
     ----------
     order : float
-        Order p of the best candidate; look at :attr:`ambiguous` and :attr:`hidden`, too.
+        Order p of the best candidate; look at :attr:`ambiguous_orders` and :attr:`hidden`, too.
     order_error : float
         Standard error of the order; 0 for a choice among given orders.
     speed : float [rad/s]
@@ -184,7 +187,7 @@ class TipFit(HarmonicFit):
         return compute_amplitudes_and_errors(self.coefficients, self.covariance)[1]
 
     @property
-    def ambiguous(self) -> tuple[float, ...]:
+    def ambiguous_orders(self) -> tuple[float, ...]:
         """Further orders that explain these arrivals equally well."""
         is_other_equivalent = self.candidates.equivalent & (self.candidates.orders != self.order)
         return tuple(self.candidates.orders[is_other_equivalent].tolist())
@@ -199,10 +202,15 @@ class TipFit(HarmonicFit):
         """True if a test of the fit fails, or cannot be made.
 
         A test fails if ``misfit`` is below 0.001, or harmonics outside the fit may have changed an
-        amplitude (:attr:`may_be_folded`). No test is possible with as many unknowns as probe means,
-        or if no probe sees the vibration twice (:attr:`seen_once`).
+        amplitude (:attr:`may_contain_aliased_harmonics`). No test is possible with as many unknowns
+        as probe means, or if no probe sees the vibration twice (:attr:`seen_once`).
         """
-        return self.does_not_fit or self.may_be_folded or self.spare < 1 or self.seen_once
+        return (
+            self.does_not_fit
+            or self.may_contain_aliased_harmonics
+            or self.spare < 1
+            or self.seen_once
+        )
 
     @property
     def seen_once(self) -> bool:
@@ -226,15 +234,17 @@ class TipFit(HarmonicFit):
         """
         harmonic_indices = []
         for required_multiple in (1.0, multiple):
-            matching_indices = np.flatnonzero(np.isclose(self.multiples, required_multiple))
-            if not len(matching_indices):
+            matching_harmonic_indices = np.flatnonzero(
+                np.isclose(self.multiples, required_multiple)
+            )
+            if not len(matching_harmonic_indices):
                 raise InputError(
                     "multiple",
                     required_multiple,
                     f"one of the fitted multiples {self.multiples.tolist()}",
                 )
-            harmonic_indices.append(int(matching_indices[0]))
-        base_amplitude, amplitude = self.amplitudes[harmonic_indices]
+            harmonic_indices.append(int(matching_harmonic_indices[0]))
+        base_amplitude, multiple_harmonic_amplitude = self.amplitudes[harmonic_indices]
         amplitude_errors = self.amplitude_errors[harmonic_indices]
         base_slice, other_slice = (
             slice(2 * harmonic_index + 1, 2 * harmonic_index + 3)
@@ -245,23 +255,23 @@ class TipFit(HarmonicFit):
             @ self.covariance[base_slice, other_slice]
             @ self.coefficients[other_slice]
         )
-        amplitude_ratio = amplitude / base_amplitude
-        amplitude_covariance = weighted_covariance / (base_amplitude * amplitude)
-        scaled_variance = (
+        amplitude_ratio = multiple_harmonic_amplitude / base_amplitude
+        amplitude_covariance = weighted_covariance / (base_amplitude * multiple_harmonic_amplitude)
+        variance_of_ratio_times_base = (
             amplitude_errors[1] ** 2
             - 2.0 * amplitude_ratio * amplitude_covariance
             + (amplitude_ratio * amplitude_errors[0]) ** 2
         )
-        return float(amplitude_ratio), float(np.sqrt(scaled_variance) / base_amplitude)
+        return float(amplitude_ratio), float(np.sqrt(variance_of_ratio_times_base) / base_amplitude)
 
     def displacement(self, angle: np.ndarray) -> np.ndarray:
         """Return the fitted displacement [m] at angles [rad], both (n,).
 
-        The angles are rotor angles; :meth:`phases` returns them for arrivals.
+        The angles are rotor angles; :meth:`angles_at_arrivals` returns them for arrivals.
         """
         return fourier_basis(self.order * np.asarray(angle), self.multiples) @ self.coefficients
 
-    def phases(self, arrivals: ArrivalTimes) -> np.ndarray:
+    def angles_at_arrivals(self, arrivals: ArrivalTimes) -> np.ndarray:
         """Return the angles at the arrivals for :meth:`displacement`: (revolutions, probes) [rad].
 
         The angles are rotor angles; for a result of :func:`fit_frequency`, the mean speed times
@@ -280,16 +290,16 @@ class TipFit(HarmonicFit):
         The row has the multiple m, the order m p, the frequency, the amplitude A with a standard
         error, and the phase.
         """
-        multiples = np.concatenate([[0.0], self.multiples])
+        load_frequency_multiples = np.concatenate([[0.0], self.multiples])
         cosines, sines = self.coefficients[1::2], self.coefficients[2::2]
         mean_and_error = self.coefficients[:1], np.sqrt(self.covariance[:1, 0])
         amplitudes, amplitude_errors = compute_amplitudes_and_errors(
             self.coefficients, self.covariance
         )
         column_by_name = {
-            "multiple": multiples.tolist(),
-            "order": (multiples * self.order).tolist(),
-            "omega": (multiples * self.omega).tolist(),
+            "multiple": load_frequency_multiples.tolist(),
+            "order": (load_frequency_multiples * self.order).tolist(),
+            "omega": (load_frequency_multiples * self.omega).tolist(),
             "amplitude": np.concatenate([mean_and_error[0], amplitudes]).tolist(),
             "amplitude_error": np.concatenate([mean_and_error[1], amplitude_errors]).tolist(),
             "phase": np.concatenate([[0.0], np.arctan2(sines, cosines)]).tolist(),
@@ -313,9 +323,11 @@ class TipFit(HarmonicFit):
             title_parts.append(
                 "not tested, as each probe measures the vibration once: record more revolutions"
             )
-        title_parts += [f"beside {line_fit.omega:.6g} rad/s" for line_fit in self.asynchronous]
+        title_parts += [
+            f"beside {asynchronous_fit.omega:.6g} rad/s" for asynchronous_fit in self.asynchronous
+        ]
         for orders_label, listed_orders in (
-            ("as well", self.ambiguous),
+            ("as well", self.ambiguous_orders),
             ("not measured", self.hidden),
         ):
             title_parts += [f"{orders_label}: {format_first_orders(listed_orders)}"] * bool(
@@ -355,19 +367,25 @@ def compute_amplitudes_and_errors(
     cosine_sine_pairs = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
     amplitudes = np.hypot(*cosine_sine_pairs)
     unit_directions = np.stack([np.ones_like(amplitudes), np.zeros_like(amplitudes)])
-    cosines, sines = np.divide(
+    direction_cosines, direction_sines = np.divide(
         cosine_sine_pairs, amplitudes, out=unit_directions, where=amplitudes > 0.0
     )
     cosine_indices = np.arange(1, coefficients.shape[-1], 2)
     pair_covariances = np.array(
         [
-            [covariance[..., cosine_indices + row, cosine_indices + column] for column in (0, 1)]
-            for row in (0, 1)
+            [
+                covariance[..., cosine_indices + pair_row_index, cosine_indices + pair_column_index]
+                for pair_column_index in (0, 1)
+            ]
+            for pair_row_index in (0, 1)
         ]
     )
     radial_variances, tangential_variances = (
         np.maximum(np.einsum("i...,ij...,j...->...", direction, pair_covariances, direction), 0.0)
-        for direction in (np.stack([cosines, sines]), np.stack([-sines, cosines]))
+        for direction in (
+            np.stack([direction_cosines, direction_sines]),
+            np.stack([-direction_sines, direction_cosines]),
+        )
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         mean_lengthenings = np.nan_to_num(
@@ -429,8 +447,12 @@ def select_candidate(
     is_eligible = (
         is_equivalent & is_measurable if np.any(is_equivalent & is_measurable) else is_equivalent
     )
-    is_small = is_eligible & (vibration_sizes <= 1.2 * vibration_sizes[is_eligible].min())
-    return is_equivalent, int(np.argmin(np.where(is_small, residual_square_sums, np.inf)))
+    is_near_smallest_vibration = is_eligible & (
+        vibration_sizes <= 1.2 * vibration_sizes[is_eligible].min()
+    )
+    return is_equivalent, int(
+        np.argmin(np.where(is_near_smallest_vibration, residual_square_sums, np.inf))
+    )
 
 
 def condition_number(columns: np.ndarray) -> float:

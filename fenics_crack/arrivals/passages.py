@@ -22,10 +22,10 @@ from fenics_crack.arrivals.resonance import (
     PassageFit,
     Resonance,
 )
-from fenics_crack.arrivals.robust import CONFIDENCE_LEVELS, TRIAL_STUDENT_FREEDOMS
+from fenics_crack.arrivals.robust import SIGNIFICANCE_LIMITS, TRIAL_STUDENT_FREEDOMS
 from fenics_crack.arrivals.transient import (
     FITTED_SPEEDS_RELATIVE_HALF_WIDTH,
-    Record,
+    ArrivalsWithStiffeningLaw,
     StiffeningFunction,
     make_stiffening_function,
 )
@@ -76,24 +76,25 @@ def fit_passage(
     """
     check_number("speed", speed, 0.0, excludes_bound=True)
     candidate_orders, _ = make_orders_and_multiples(orders, 1, 1)
-    record = Record(arrivals, make_stiffening_function(stiffening))
+    record = ArrivalsWithStiffeningLaw(arrivals, make_stiffening_function(stiffening))
     runs = record.find_runs(arrivals.displacement, speed)
     if not runs:
-        speed_ends = arrivals.speed.min(), arrivals.speed.max()
+        recorded_speed_range = arrivals.speed.min(), arrivals.speed.max()
         allowed_speed_text = (
-            f"inside the recorded range, {speed_ends[0]:.6g} to {speed_ends[1]:.6g} rad/s, with "
+            f"inside the recorded range, {recorded_speed_range[0]:.6g} to "
+            f"{recorded_speed_range[1]:.6g} rad/s, with "
             f"{MIN_REVOLUTIONS_FOR_SPEED_OR_RESONANCE} revolutions or more near it"
         )
         raise InputError("speed", speed, allowed_speed_text)
     resonance = Resonance(runs, speed, candidate_orders)
     if len(blind_probe_indices := resonance.best_fit.blind_probe_indices):
-        reliable_arrivals = arrivals.without(blind_probe_indices)
-        reliable_fit = fit_passage(
-            reliable_arrivals, speed, candidate_orders, stiffening=stiffening
+        arrivals_without_blind_probes = arrivals.without(blind_probe_indices)
+        fit_without_blind_probes = fit_passage(
+            arrivals_without_blind_probes, speed, candidate_orders, stiffening=stiffening
         )
         return replace(
-            reliable_fit,
-            blind=(*arrivals.probes[blind_probe_indices].tolist(), *reliable_fit.blind),
+            fit_without_blind_probes,
+            blind=(*arrivals.probes[blind_probe_indices].tolist(), *fit_without_blind_probes.blind),
         )
     return resonance.to_passage_fit(record, arrivals.displacement)
 
@@ -149,7 +150,7 @@ def find_passages(
     candidate_orders, _ = make_orders_and_multiples(orders, 1, 1)
     check_count("most", most, 1)
     check_count("asynchronous", asynchronous, 0)
-    record = Record(arrivals, make_stiffening_function(stiffening))
+    record = ArrivalsWithStiffeningLaw(arrivals, make_stiffening_function(stiffening))
     displacements = arrivals.displacement
     search = _ResonanceSearch(record, displacements, candidate_orders)
     line_fits: tuple[TipFit, ...] = ()
@@ -166,18 +167,23 @@ def find_passages(
         blind_probe_angles = arrivals.probes[blind_probe_indices].tolist()
         return tuple(replace(fit, blind=(*blind_probe_angles, *fit.blind)) for fit in fits)
     if asynchronous:
-        line_fits, line_motion = _find_lines_and_motion(
+        line_fits, spectral_line_motion = _find_lines_and_motion(
             arrivals, search.subtract_resonances(), candidate_orders, asynchronous
         )
         if line_fits:
-            search = _ResonanceSearch(record, displacements - line_motion, candidate_orders)
+            search = _ResonanceSearch(
+                record, displacements - spectral_line_motion, candidate_orders
+            )
         search.add_resonances_up_to(most)
         if len(search.resonances) > 1:
-            line_fits, line_motion = _find_lines_and_motion(
-                arrivals, search.subtract_resonances() + line_motion, candidate_orders, asynchronous
+            line_fits, spectral_line_motion = _find_lines_and_motion(
+                arrivals,
+                search.subtract_resonances() + spectral_line_motion,
+                candidate_orders,
+                asynchronous,
             )
             if line_fits:
-                search.refit_resonances(displacements - line_motion)
+                search.refit_resonances(displacements - spectral_line_motion)
     residuals = search.subtract_resonances()
     return tuple(
         resonance.to_passage_fit(record, residuals, search.resonances, line_fits)
@@ -208,9 +214,9 @@ def _find_lines_and_motion(
         Sum of their displacements; nan without an arrival.
     """
     begin_stage("vibrations of constant frequency")
-    constant_numbers = np.arange(displacements.shape[1]) * np.ones(displacements.shape, dtype=int)
+    constant_indices = np.arange(displacements.shape[1]) * np.ones(displacements.shape, dtype=int)
     line_fits, residuals = find_lines_and_residuals(
-        arrivals, displacements, constant_numbers, orders.max(), max_lines
+        arrivals, displacements, constant_indices, orders.max(), max_lines
     )
     return line_fits, displacements - residuals
 
@@ -234,7 +240,10 @@ class _ResonanceSearch:
     """
 
     def __init__(
-        self, record: Record, displacements: np.ndarray, candidate_orders: np.ndarray
+        self,
+        record: ArrivalsWithStiffeningLaw,
+        displacements: np.ndarray,
+        candidate_orders: np.ndarray,
     ) -> None:
         self.record, self.displacements, self.orders = record, displacements, candidate_orders
         self.resonances: list[Resonance] = []
@@ -246,15 +255,18 @@ class _ResonanceSearch:
         # Results of :func:`_compute_gain_and_squares_reduction`; nan: not computed yet.
         self._gains_and_reductions = np.full((n_centres, 2), np.nan)
 
-    def subtract_resonances(self, kept_resonances: Sequence[Resonance] = ()) -> np.ndarray:
+    def subtract_resonances(
+        self, resonances_not_subtracted: Sequence[Resonance] = ()
+    ) -> np.ndarray:
         """Return displacements less the fitted motion in resonances: (revolutions, probes) [m].
 
-        The motion in all resonances found so far is subtracted, except in ``kept_resonances``.
+        The motion in all resonances found so far is subtracted, except in
+        ``resonances_not_subtracted``.
         """
         subtracted_motions = [
-            resonance.best_fit.motions[0]
+            resonance.best_fit.displacements_by_mode[0]
             for resonance in self.resonances
-            if resonance not in kept_resonances
+            if resonance not in resonances_not_subtracted
         ]
         return np.asarray(self.displacements - sum(subtracted_motions))
 
@@ -272,13 +284,16 @@ class _ResonanceSearch:
                 gains_and_reductions[centre_index] = _compute_gain_and_squares_reduction(
                     self.record, residuals, centre_speeds[centre_index]
                 )
-            if not np.any(gains_and_reductions[:, 0] > CONFIDENCE_LEVELS.min_likelihood_gain):
+            if not np.any(
+                gains_and_reductions[:, 0] > SIGNIFICANCE_LIMITS.min_resonance_likelihood_gain
+            ):
                 break
             begin_stage(f"resonance {len(self.resonances) + 1}")
             clearest_speed = centre_speeds[
                 int(
                     np.where(
-                        gains_and_reductions[:, 0] > CONFIDENCE_LEVELS.min_likelihood_gain,
+                        gains_and_reductions[:, 0]
+                        > SIGNIFICANCE_LIMITS.min_resonance_likelihood_gain,
                         gains_and_reductions[:, 1],
                         0.0,
                     ).argmax()
@@ -291,7 +306,7 @@ class _ResonanceSearch:
                 _compute_gain_and_squares_reduction(
                     self.record, residuals, clearest_speed, MAX_REFIT_ROUNDS
                 )[0]
-                < CONFIDENCE_LEVELS.min_likelihood_gain
+                < SIGNIFICANCE_LIMITS.min_resonance_likelihood_gain
             ):
                 continue
             new_resonance = Resonance(
@@ -423,7 +438,7 @@ class _ResonanceSearch:
 
 
 def _compute_gain_and_squares_reduction(
-    record: Record, displacements: np.ndarray, speed: float, n_rounds: int = 1
+    record: ArrivalsWithStiffeningLaw, displacements: np.ndarray, speed: float, n_rounds: int = 1
 ) -> tuple[float, float]:
     """Measure how well a steady vibration near a speed [rad/s] explains displacements.
 
@@ -463,22 +478,23 @@ def _compute_gain_and_squares_reduction(
         steady_wave = steady_wave[:, None] * np.ones_like(run.displacements)
         weights = run.has_arrival.astype(float)
         for _ in range(n_rounds):
-            matrices, vectors, wave_parts, weighted_displacements = run.build_equations_by_probe(
-                steady_wave, weights
+            matrices, right_hand_sides, real_and_imaginary_waves, weighted_displacements = (
+                run.build_equations_by_probe(steady_wave, weights)
             )
             probe_amplitudes = np.linalg.solve(
-                matrices + SMALLEST_NORMAL * np.eye(2), vectors[..., None]
+                matrices + SMALLEST_NORMAL * np.eye(2), right_hand_sides[..., None]
             )[..., 0]
             if n_rounds == 1:
                 continue
             squared_ratios = (
-                weighted_displacements - np.einsum("pa,arp->rp", probe_amplitudes, wave_parts)
+                weighted_displacements
+                - np.einsum("pa,arp->rp", probe_amplitudes, real_and_imaginary_waves)
             )[run.has_arrival] ** 2
             squared_ratios /= weights[run.has_arrival] * noise_scale**2
             weights[run.has_arrival] = (TRIAL_STUDENT_FREEDOMS[0] + 1.0) / (
                 TRIAL_STUDENT_FREEDOMS[0] + squared_ratios
             )
-        squares_reduction = float((vectors * probe_amplitudes).sum())
+        squares_reduction = float((right_hand_sides * probe_amplitudes).sum())
         total_gain += squares_reduction / noise_scale**2 - 2.0 * (run.n_probes - 1)
         total_reduction += squares_reduction
     return total_gain, total_reduction

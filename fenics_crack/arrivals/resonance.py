@@ -19,18 +19,18 @@ import numpy as np
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import MIN_RELATIVE_PEAK_POWER
 from fenics_crack.arrivals.harmonics import TipFit
-from fenics_crack.arrivals.robust import CONFIDENCE_LEVELS
+from fenics_crack.arrivals.robust import SIGNIFICANCE_LIMITS
 from fenics_crack.arrivals.transient import (
     DAMPING_RATIO_BOUNDS,
     FITTED_SPEEDS_RELATIVE_HALF_WIDTH,
+    ArrivalsWithStiffeningLaw,
     Fit,
     Mode,
-    Record,
     Run,
     compute_poles,
     make_stiffening_function,
 )
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     Tabular,
@@ -47,7 +47,14 @@ MAX_REFIT_ROUNDS = 5
 """Maximum rounds of refits of neighbours, of pairs of orders, and of weights in a search."""
 
 
-@with_old_names(disagreement="disagreement_in_words")
+@keep_old_attribute_names(
+    ambiguous="ambiguous_orders",
+    apart="relative_frequency_range",
+    compared="compute_measured_and_fitted_motion",
+    disagree="passages_disagree",
+    untested="is_order_untested",
+    disagreement="disagreement_in_words",
+)
 @dataclass(frozen=True, repr=False)
 class PassageFit(Tabular):
     """Hold the fit to all passages through one resonance: a mode and an engine order.
@@ -136,7 +143,7 @@ class PassageFit(Tabular):
         return float(np.min(self.margins[self.orders != self.order], initial=np.inf))
 
     @property
-    def untested(self) -> bool:
+    def is_order_untested(self) -> bool:
         """True with several candidate orders and fewer than three probes.
 
         Two probes give a single phase difference, and one of several orders nearly always fits.
@@ -145,24 +152,24 @@ class PassageFit(Tabular):
         return self.probes < 3 and len(self.orders) > 1
 
     @property
-    def ambiguous(self) -> tuple[float, ...]:
+    def ambiguous_orders(self) -> tuple[float, ...]:
         """Further orders that explain the arrivals within three standard deviations.
 
-        The margin (``margins``) is below 9. If the fit is :attr:`untested`, all further
+        The margin (``margins``) is below 9. If the fit is :attr:`is_order_untested`, all further
         candidate orders are returned.
         """
         is_other_equal = (
-            (self.margins < CONFIDENCE_LEVELS.allowed_cost_difference) | self.untested
+            (self.margins < SIGNIFICANCE_LIMITS.allowed_cost_difference) | self.is_order_untested
         ) & (self.orders != self.order)
         return tuple(self.orders[is_other_equal].tolist())
 
     @property
-    def apart(self) -> float:
+    def relative_frequency_range(self) -> float:
         """Range of the frequencies from single passages, over the frequency of the fit."""
         return float(np.ptp(self.omegas)) / self.omega
 
     @property
-    def disagree(self) -> bool:
+    def passages_disagree(self) -> bool:
         """True if passages differ by over three standard errors in frequency or damping.
 
         Different amplitudes are no disagreement: the load need not be the same.
@@ -171,10 +178,12 @@ class PassageFit(Tabular):
 
     @property
     def disagreement_in_words(self) -> str:
-        """Text on how the passages :attr:`disagree`; "" if they agree."""
+        """Text on how the passages :attr:`passages_disagree`; "" if they agree."""
         difference_texts = []
         if _differ_significantly(self.omegas, self.omega_errors):
-            difference_texts.append(f"by {self.apart:.2%} in frequency, which the error covers")
+            difference_texts.append(
+                f"by {self.relative_frequency_range:.2%} in frequency, which the error covers"
+            )
         if _differ_significantly(self.dampings, self.damping_errors):
             difference_texts.append(
                 f"in damping, {self.dampings.min():.2g} to {self.dampings.max():.2g}"
@@ -193,18 +202,18 @@ class PassageFit(Tabular):
         drift, or a nonlinear blade. Frequency, damping and order may be wrong by more than their
         errors.
         """
-        return not self.whiteness >= CONFIDENCE_LEVELS.misfit_significance_level
+        return not self.whiteness >= SIGNIFICANCE_LIMITS.misfit_significance_level
 
     @property
     def deviation(self) -> float:
         """Standard deviation of the natural frequency, the error of this result [rad/s].
 
         The largest of three values: the standard error ``omega_error``; half the range of
-        ``omegas`` if the passages :attr:`disagree`, as for a breathing crack; and half the
+        ``omegas`` if the passages :attr:`passages_disagree`, as for a breathing crack; and half the
         resonance's width, zeta w_n, if the fit is :attr:`in_doubt`. Here zeta is the damping ratio,
         and w_n the natural frequency.
         """
-        half_frequency_range = 0.5 * float(np.ptp(self.omegas)) if self.disagree else 0.0
+        half_frequency_range = 0.5 * float(np.ptp(self.omegas)) if self.passages_disagree else 0.0
         half_resonance_width = self.damping * self.omega if self.in_doubt else 0.0
         return max(self.omega_error, half_frequency_range, half_resonance_width)
 
@@ -217,7 +226,9 @@ class PassageFit(Tabular):
             f"{self.speed / RAD_PER_S_PER_RPM:.6g} rpm"
         )
 
-    def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def compute_measured_and_fitted_motion(
+        self, arrivals: ArrivalTimes
+    ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Return measured and fitted displacements for each passage.
 
         ``arrivals`` are the fitted record. Probes in ``blind`` are left out: P probes remain.
@@ -230,19 +241,24 @@ class PassageFit(Tabular):
         """
         arrivals = arrivals.without(np.flatnonzero(np.isin(arrivals.probes, self.blind)))
         mode_pole = complex(compute_poles(self.omega, self.damping / (1.0 - self.stiffening)))
-        record = Record(arrivals, make_stiffening_function(self.stiffening))
-        runs = [Run(record, arrivals.displacement, *map(int, run_ends)) for run_ends in self.ends]
-        passage_comparisons = []
+        record = ArrivalsWithStiffeningLaw(arrivals, make_stiffening_function(self.stiffening))
+        runs = [
+            Run(record, arrivals.displacement, *map(int, begin_and_end_revolution))
+            for begin_and_end_revolution in self.ends
+        ]
+        speed_measured_fitted_triples = []
         for run, complex_force in zip(runs, self.forces, strict=True):
             fitted_motion = (complex_force * run.compute_wave(Mode(self.order, mode_pole))).real
             drift_free_residuals = run.subtract_weighted_drifts(
                 run.displacements - fitted_motion, run.has_arrival.astype(float)
             )
-            measured_motion = np.where(
+            drift_free_displacements = np.where(
                 run.has_arrival, drift_free_residuals + fitted_motion, np.nan
             )
-            passage_comparisons.append((run.revolution_speeds, measured_motion, fitted_motion))
-        return passage_comparisons
+            speed_measured_fitted_triples.append(
+                (run.revolution_speeds, drift_free_displacements, fitted_motion)
+            )
+        return speed_measured_fitted_triples
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit's numbers by name.
@@ -265,7 +281,7 @@ class PassageFit(Tabular):
             "rpm": self.speed / RAD_PER_S_PER_RPM,
             **{number_name: getattr(self, number_name) for number_name in number_names},
             "passages": len(self.ends),
-            "apart": self.apart,
+            "apart": self.relative_frequency_range,
             "whiteness": self.whiteness,
         }
 
@@ -276,10 +292,12 @@ class PassageFit(Tabular):
             f"damping {self.damping:.3g} ± {self.damping_error:.2g}",
             format_quantity(self.amplitude, "m"),
         ]
-        if self.untested:
+        if self.is_order_untested:
             title_parts.append(f"order untested by {format_count(self.probes, 'probe')}")
-        elif self.ambiguous:
-            title_parts.append(f"as well: {', '.join(f'{order:g}' for order in self.ambiguous)}")
+        elif self.ambiguous_orders:
+            title_parts.append(
+                f"as well: {', '.join(f'{order:g}' for order in self.ambiguous_orders)}"
+            )
         title_parts += ["residuals are correlated"] * self.in_doubt
         return ", ".join(title_parts)
 
@@ -292,7 +310,7 @@ def _differ_significantly(values: np.ndarray, errors: np.ndarray) -> bool:
     pairwise_differences = np.abs(values[:, None] - values)
     return not np.all(
         pairwise_differences
-        <= CONFIDENCE_LEVELS.equal_fit_standard_errors * np.hypot(errors[:, None], errors)
+        <= SIGNIFICANCE_LIMITS.n_standard_errors_of_equal_fits * np.hypot(errors[:, None], errors)
     )
 
 
@@ -366,14 +384,18 @@ class Resonance:
         otherwise slow drift may explain it.
         """
         fit = self.best_fit
-        is_passed = any(
+        is_speed_crossed = any(
             run.revolution_speeds.min() < self.speed < run.revolution_speeds.max()
             for run in self._runs
         )
-        if not (is_passed and fit.likelihood_gain > CONFIDENCE_LEVELS.min_likelihood_gain):
+        if not (
+            is_speed_crossed
+            and fit.likelihood_gain > SIGNIFICANCE_LIMITS.min_resonance_likelihood_gain
+        ):
             return False
         return (
-            CONFIDENCE_LEVELS.equal_fit_standard_errors * float(fit.omega_and_damping_errors[1])
+            SIGNIFICANCE_LIMITS.n_standard_errors_of_equal_fits
+            * float(fit.omega_and_damping_errors[1])
             < fit.first_mode.damping_ratio
             < 0.5 * DAMPING_RATIO_BOUNDS[1]
         )
@@ -416,15 +438,19 @@ class Resonance:
         The other resonance then has the same order and a larger amplitude, and this resonance is
         within the other's width.
         """
-        larger_fit, own_fit = other_resonance.best_fit, self.best_fit
+        other_resonance_fit, own_fit = other_resonance.best_fit, self.best_fit
         return (
             other_resonance.has_within_width(self)
-            and larger_fit.first_mode.order == own_fit.first_mode.order
-            and larger_fit.largest_first_mode_amplitude > own_fit.largest_first_mode_amplitude
+            and other_resonance_fit.first_mode.order == own_fit.first_mode.order
+            and other_resonance_fit.largest_first_mode_amplitude
+            > own_fit.largest_first_mode_amplitude
         )
 
     def refit_and_test_clarity(
-        self, record: Record, displacements: np.ndarray, initial_mode: Mode | None = None
+        self,
+        record: ArrivalsWithStiffeningLaw,
+        displacements: np.ndarray,
+        initial_mode: Mode | None = None,
     ) -> bool:
         """Refit the mode to displacements (revolutions, probes) [m], and test the result.
 
@@ -453,7 +479,11 @@ class Resonance:
         return [run.has_arrival.astype(float) for run in runs]
 
     def compare_order_pairs_with(
-        self, neighbour: Resonance, record: Record, displacements: np.ndarray, orders: np.ndarray
+        self,
+        neighbour: Resonance,
+        record: ArrivalsWithStiffeningLaw,
+        displacements: np.ndarray,
+        orders: np.ndarray,
     ) -> None:
         """Fit this resonance and a neighbour jointly with pairs of orders, and keep the best.
 
@@ -476,17 +506,21 @@ class Resonance:
             [pair_member.best_fit.first_mode for pair_member in resonance_pair],
             weights_of_runs,
         )
-        mode_lists: list[list[Mode]] = []
-        for pair_member, pair_partner in (resonance_pair, resonance_pair[::-1]):
-            member_displacements = displacements - pair_partner.best_fit.motions[0]
+        modes_of_pair_members: list[list[Mode]] = []
+        for pair_member, partner_resonance in (resonance_pair, resonance_pair[::-1]):
+            displacements_without_partner = (
+                displacements - partner_resonance.best_fit.displacements_by_mode[0]
+            )
             run_weight_pairs = zip(
-                record.find_runs(member_displacements, self.speed), best_fit.weights, strict=True
+                record.find_runs(displacements_without_partner, self.speed),
+                best_fit.weights,
+                strict=True,
             )
             mode = pair_member.best_fit.first_mode
             gain_mode_pairs = _list_best_gains_and_modes(
                 run_weight_pairs, orders, pair_member.speed, mode.damping_ratio
             )
-            mode_lists.append(
+            modes_of_pair_members.append(
                 [
                     mode if grid_mode.order == mode.order else grid_mode
                     for _, grid_mode in gain_mode_pairs
@@ -494,30 +528,41 @@ class Resonance:
             )
         fit_by_modes = {best_fit.modes: best_fit}
         for _ in range(MAX_REFIT_ROUNDS):
-            weights_of_runs, previous_fit = best_fit.weights, best_fit
-            pair_gains = _compute_squares_reductions_by_pairs(runs, mode_lists, weights_of_runs)
+            weights_of_runs, best_fit_of_previous_round = best_fit.weights, best_fit
+            pair_gains = _compute_squares_reductions_by_pairs(
+                runs, modes_of_pair_members, weights_of_runs
+            )
             for index_pair in _choose_order_index_pairs(pair_gains):
-                modes = mode_lists[0][index_pair[0]], mode_lists[1][index_pair[1]]
+                modes = (
+                    modes_of_pair_members[0][index_pair[0]],
+                    modes_of_pair_members[1][index_pair[1]],
+                )
                 if modes not in fit_by_modes:
                     fit_by_modes[modes] = Fit(runs, modes, weights_of_runs)
             best_fit = min(fit_by_modes.values(), key=lambda fit: fit.noise.cost)
-            if best_fit is previous_fit:
+            if best_fit is best_fit_of_previous_round:
                 break
-        for member_index, pair_member in enumerate(resonance_pair):
+        for index_in_resonance_pair, pair_member in enumerate(resonance_pair):
             max_gain_by_order = dict(
-                zip(orders.tolist(), pair_gains.max(axis=1 - member_index).tolist(), strict=True)
+                zip(
+                    orders.tolist(),
+                    pair_gains.max(axis=1 - index_in_resonance_pair).tolist(),
+                    strict=True,
+                )
             )
             pair_member.margins = _compute_margin_by_order(
-                max_gain_by_order, fit_by_modes.values(), best_fit, member_index
+                max_gain_by_order, fit_by_modes.values(), best_fit, index_in_resonance_pair
             )
-            member_displacements = displacements - best_fit.motions[1 - member_index]
+            displacements_without_partner = (
+                displacements - best_fit.displacements_by_mode[1 - index_in_resonance_pair]
+            )
             pair_member.refit_and_test_clarity(
-                record, member_displacements, best_fit.modes[member_index]
+                record, displacements_without_partner, best_fit.modes[index_in_resonance_pair]
             )
 
     def to_passage_fit(
         self,
-        record: Record,
+        record: ArrivalsWithStiffeningLaw,
         residuals: np.ndarray,
         resonances: Sequence[Resonance] = (),
         line_fits: tuple[TipFit, ...] = (),
@@ -544,10 +589,14 @@ class Resonance:
             if self.is_near(other_resonance, FITTED_SPEEDS_RELATIVE_HALF_WIDTH)
         ]
         best_fit, runs = self.best_fit, self._runs
-        modes = [fitted_resonance.best_fit.first_mode for fitted_resonance in (self, *neighbours)]
+        modes = [
+            jointly_fitted_resonance.best_fit.first_mode
+            for jointly_fitted_resonance in (self, *neighbours)
+        ]
         if neighbours:
             resonance_motions = [
-                fitted_resonance.best_fit.motions[0] for fitted_resonance in (self, *neighbours)
+                jointly_fitted_resonance.best_fit.displacements_by_mode[0]
+                for jointly_fitted_resonance in (self, *neighbours)
             ]
             runs = record.find_runs(residuals + sum(resonance_motions), self.speed)
             best_fit = Fit(runs, modes, self._make_initial_weights(runs))
@@ -590,7 +639,7 @@ class Resonance:
                 [margin_by_order[compared_order] for compared_order in compared_orders]
             ),
             probes=max(run.n_probes for run in runs),
-            scatter=float(np.sqrt(best_fit.noise.variance)),
+            scatter=float(np.sqrt(best_fit.noise.equivalent_normal_variance)),
             whiteness=best_fit.whiteness_p_value,
             asynchronous=line_fits,
             blind=(),
@@ -622,20 +671,28 @@ def _list_best_gains_and_modes(
         Reduction in the weighted sum of squares [m^2], and the mode, for each order.
     """
     omega_rows = orders[:, None] * speed * (1.0 + damping_ratio * np.linspace(-2.5, 2.5, 11))
-    pole_rows = compute_poles(omega_rows, damping_ratio)
+    trial_poles_by_order = compute_poles(omega_rows, damping_ratio)
     gains = sum(
-        run.compute_squares_reductions(orders, pole_rows, weights)
+        run.compute_squares_reductions(orders, trial_poles_by_order, weights)
         for run, weights in run_weight_pairs
     )
-    best_pole_indices, order_indices = np.argmax(gains, axis=1), np.arange(len(orders))
-    best_modes = map(Mode, orders.tolist(), pole_rows[order_indices, best_pole_indices].tolist())
+    best_pole_indices, all_order_indices = np.argmax(gains, axis=1), np.arange(len(orders))
+    best_modes = map(
+        Mode, orders.tolist(), trial_poles_by_order[all_order_indices, best_pole_indices].tolist()
+    )
     return list(
-        zip(np.asarray(gains)[order_indices, best_pole_indices].tolist(), best_modes, strict=True)
+        zip(
+            np.asarray(gains)[all_order_indices, best_pole_indices].tolist(),
+            best_modes,
+            strict=True,
+        )
     )
 
 
 def _compute_squares_reductions_by_pairs(
-    runs: Sequence[Run], mode_lists: Sequence[Sequence[Mode]], weights_of_runs: Sequence[np.ndarray]
+    runs: Sequence[Run],
+    modes_of_pair_members: Sequence[Sequence[Mode]],
+    weights_of_runs: Sequence[np.ndarray],
 ) -> np.ndarray:
     """Return reductions in the sum of squared residuals by pairs of modes: (n, m) [m^2].
 
@@ -645,12 +702,15 @@ def _compute_squares_reductions_by_pairs(
     ----------
     runs : sequence of Run
         Passages, each with R revolutions and P probes.
-    mode_lists : pair of lists
+    modes_of_pair_members : pair of lists
         n modes for the first of a pair, and m modes for the second.
     weights_of_runs : sequence of (R, P)
         Arrival weights in each run.
     """
-    n_first_modes, all_modes = len(mode_lists[0]), [mode for modes in mode_lists for mode in modes]
+    n_first_modes, all_modes = (
+        len(modes_of_pair_members[0]),
+        [mode for modes in modes_of_pair_members for mode in modes],
+    )
     first_indices, second_indices = np.indices((n_first_modes, len(all_modes) - n_first_modes))
     pair_column_indices = np.stack(
         [
@@ -661,29 +721,29 @@ def _compute_squares_reductions_by_pairs(
         ],
         -1,
     )
-    reduction_sums = np.zeros(first_indices.shape)
+    reductions_summed_over_runs = np.zeros(first_indices.shape)
     for run, run_weights in zip(runs, weights_of_runs, strict=True):
         waves_and_displacements = np.array([*map(run.compute_wave, all_modes), run.displacements])
-        *wave_parts, weighted_displacements = run.subtract_weighted_drifts(
+        *real_and_imaginary_waves, weighted_displacements = run.subtract_weighted_drifts(
             waves_and_displacements, run_weights
         )
-        wave_parts = np.stack([np.real(wave_parts), -np.imag(wave_parts)], axis=1)[
-            ..., run.has_arrival
-        ]
-        wave_columns = wave_parts.reshape(2 * len(all_modes), -1)
+        real_and_imaginary_waves = np.stack(
+            [np.real(real_and_imaginary_waves), -np.imag(real_and_imaginary_waves)], axis=1
+        )[..., run.has_arrival]
+        wave_columns = real_and_imaginary_waves.reshape(2 * len(all_modes), -1)
         gram_matrix = wave_columns @ wave_columns.T
         projections = wave_columns @ weighted_displacements[run.has_arrival].real
         pair_inverses = np.linalg.pinv(
             gram_matrix[pair_column_indices[..., :, None], pair_column_indices[..., None, :]],
             hermitian=True,
         )
-        reduction_sums += np.einsum(
+        reductions_summed_over_runs += np.einsum(
             "nmi,nmij,nmj->nm",
             projections[pair_column_indices],
             pair_inverses,
             projections[pair_column_indices],
         )
-    return reduction_sums
+    return reductions_summed_over_runs
 
 
 def _choose_order_index_pairs(squares_reductions: np.ndarray) -> set[tuple[int, int]]:
@@ -693,22 +753,23 @@ def _choose_order_index_pairs(squares_reductions: np.ndarray) -> set[tuple[int, 
     modes. The best two first modes and the best two second modes are chosen, each with its best
     partner. Pairs with less than half the largest reduction are left out.
     """
-    best_first_indices, best_second_indices = (
+    best_first_mode_indices, best_second_mode_indices = (
         np.argsort(-squares_reductions.max(axis=1 - axis))[: MAX_REFINED_ORDERS // 2]
         for axis in (0, 1)
     )
     index_pairs = [
-        (first_index, squares_reductions[first_index].argmax())
-        for first_index in best_first_indices
+        (first_mode_index, squares_reductions[first_mode_index].argmax())
+        for first_mode_index in best_first_mode_indices
     ]
     index_pairs += [
-        (squares_reductions[:, second_index].argmax(), second_index)
-        for second_index in best_second_indices
+        (squares_reductions[:, second_mode_index].argmax(), second_mode_index)
+        for second_mode_index in best_second_mode_indices
     ]
     return {
-        (int(n), int(m))
-        for n, m in index_pairs
-        if squares_reductions[n, m] > MIN_RELATIVE_PEAK_POWER * squares_reductions.max()
+        (int(paired_first_mode_index), int(paired_second_mode_index))
+        for paired_first_mode_index, paired_second_mode_index in index_pairs
+        if squares_reductions[paired_first_mode_index, paired_second_mode_index]
+        > MIN_RELATIVE_PEAK_POWER * squares_reductions.max()
     }
 
 

@@ -36,14 +36,14 @@ MAX_DEPENDENT_EIGENVALUE_RATIO = 1e-12
 
 
 @dataclass(frozen=True)
-class ConfidenceLevels:
+class SignificanceLimits:
     """Hold limits of probability and likelihood for decisions in fits.
 
     Attributes
     ----------
     vibration_significance_level : float
         A vibration is significant if noise alone gives one as large with at most this probability.
-    min_likelihood_gain : float
+    min_resonance_likelihood_gain : float
         A resonance is significant if it reduces -2 log likelihood by this or more. The limit is
         high, since about 1e5 resonances are tried, each with six unknowns.
     misfit_significance_level : float
@@ -51,28 +51,28 @@ class ConfidenceLevels:
     errors_from_misfit_significance_level : float
         Standard errors follow from the misfit if its probability is below this. Otherwise the
         errors follow from the scatter.
-    equal_fit_standard_errors : float
+    n_standard_errors_of_equal_fits : float
         Number of standard deviations within which candidates fit equally well, and a correlation
         is insignificant.
     """
 
     vibration_significance_level: float = 1e-5
-    min_likelihood_gain: float = 60.0
+    min_resonance_likelihood_gain: float = 60.0
     misfit_significance_level: float = 1e-3
     errors_from_misfit_significance_level: float = 1e-2
-    equal_fit_standard_errors: float = 3.0
+    n_standard_errors_of_equal_fits: float = 3.0
 
     @property
     def allowed_cost_difference(self) -> float:
         """Maximum difference in -2 log likelihood between equally good candidates.
 
-        The value is ``equal_fit_standard_errors`` squared, 9; also for differences between sums of
-        squared residuals in units of the standard deviation.
+        The value is ``n_standard_errors_of_equal_fits`` squared, 9; also for differences between
+        sums of squared residuals in units of the standard deviation.
         """
-        return self.equal_fit_standard_errors**2
+        return self.n_standard_errors_of_equal_fits**2
 
 
-CONFIDENCE_LEVELS = ConfidenceLevels()
+SIGNIFICANCE_LIMITS = SignificanceLimits()
 """Levels of significance in all fits to arrivals."""
 
 RevolutionsAndProbes = tuple[np.ndarray, np.ndarray]
@@ -128,7 +128,7 @@ class StudentNoise:
         trial_scales, freedom_column = np.maximum(trial_scales, min_scale), trial_freedoms[:, None]
         for _ in range(MAX_WEIGHTING_ROUNDS):
             squared_ratios = squared_residuals / trial_scales[:, None] ** 2
-            variance_ratios = (
+            new_to_old_squared_scales = (
                 (freedom_column + 1.0)
                 / (freedom_column + squared_ratios)
                 @ squared_residuals
@@ -136,7 +136,7 @@ class StudentNoise:
             )
             previous_trial_scales = trial_scales
             trial_scales = np.maximum(
-                trial_scales * variance_ratios ** (0.5 + 1.5 / trial_freedoms), min_scale
+                trial_scales * new_to_old_squared_scales ** (0.5 + 1.5 / trial_freedoms), min_scale
             )
             if np.all(
                 np.abs(trial_scales - previous_trial_scales)
@@ -181,7 +181,7 @@ class StudentNoise:
         return float(np.mean(psi_derivatives))
 
     @property
-    def variance(self) -> float:
+    def equivalent_normal_variance(self) -> float:
         """Variance of normal errors with the same standard errors of the coefficients.
 
         The unit is the squared unit of the residuals.
@@ -190,7 +190,9 @@ class StudentNoise:
         return float(self.psi @ self.psi) / (n_spare * self.mean_psi_slope**2)
 
     def compute_whiteness_p_value(
-        self, places: RevolutionsAndProbes, mark_shares: np.ndarray
+        self,
+        revolution_and_probe_indices: RevolutionsAndProbes,
+        arrival_shift_per_mark_error: np.ndarray,
     ) -> float:
         """Return the probability of correlations as large by arrival and mark errors alone.
 
@@ -205,30 +207,37 @@ class StudentNoise:
 
         Parameters
         ----------
-        places : pair of (n,) int
+        revolution_and_probe_indices : pair of (n,) int
             Each arrival's revolution index and probe index.
-        mark_shares : (marks, probes)
+        arrival_shift_per_mark_error : (marks, probes)
             S: shift of an arrival by an error of 1 in each of the marks around it.
         """
         (
             ((same_probe_sum, n_same_probe_products), (cross_probe_sum, n_cross_probe_products)),
             lag,
             ((lagged_sum, n_lagged_products), (_, n_lagged_cross_products)),
-        ) = _sum_products_with_next_revolution(self.psi, places)
+        ) = _sum_products_with_next_revolution(self.psi, revolution_and_probe_indices)
         psi_variance = same_probe_sum / n_same_probe_products
         if not n_lagged_products or not psi_variance:
             return np.nan
-        mark_covariance = max(cross_probe_sum / max(n_cross_probe_products, 1.0), 0.0)
-        share_products = mark_shares.T @ mark_shares
-        lagged_share_products = (mark_shares[lag:] * mark_shares[:-lag]).sum(axis=0)
-        cross_probe_share_products = share_products[~np.eye(len(share_products), dtype=bool)]
+        mark_error_covariance = max(cross_probe_sum / max(n_cross_probe_products, 1.0), 0.0)
+        mark_shift_products = arrival_shift_per_mark_error.T @ arrival_shift_per_mark_error
+        lagged_mark_shift_products = (
+            arrival_shift_per_mark_error[lag:] * arrival_shift_per_mark_error[:-lag]
+        ).sum(axis=0)
+        cross_probe_mark_shift_products = mark_shift_products[
+            ~np.eye(len(mark_shift_products), dtype=bool)
+        ]
         lagged_mark_covariance = (
-            mark_covariance / cross_probe_share_products.mean() * lagged_share_products.mean()
-            if mark_covariance
+            mark_error_covariance
+            / cross_probe_mark_shift_products.mean()
+            * lagged_mark_shift_products.mean()
+            if mark_error_covariance
             else 0.0
         )
         lagged_sum_deviation = psi_variance * np.sqrt(
-            n_lagged_products + (mark_covariance / psi_variance) ** 2 * n_lagged_cross_products
+            n_lagged_products
+            + (mark_error_covariance / psi_variance) ** 2 * n_lagged_cross_products
         )
         lower_tail_probability = float(
             ndtr((lagged_sum - n_lagged_products * lagged_mark_covariance) / lagged_sum_deviation)
@@ -236,7 +245,7 @@ class StudentNoise:
         return 2.0 * min(lower_tail_probability, 1.0 - lower_tail_probability)
 
     def coefficient_covariance(
-        self, columns: np.ndarray, places: RevolutionsAndProbes
+        self, columns: np.ndarray, revolution_and_probe_indices: RevolutionsAndProbes
     ) -> np.ndarray:
         """Return the covariance (m, m) of fitted coefficients.
 
@@ -246,35 +255,50 @@ class StudentNoise:
         ----------
         columns : (n, m)
             Derivatives of the fit at n arrivals by m coefficients.
-        places : pair of (n,) int
+        revolution_and_probe_indices : pair of (n,) int
             Each arrival's revolution index and probe index.
         """
         column_norms = np.linalg.norm(columns, axis=0)
         columns = columns / column_norms
-        column_table = _arrange_by_revolution_and_probe(columns, places)
-        revolution_column_sums, gram_matrix = column_table.sum(axis=1), columns.T @ columns
+        columns_by_revolution_and_probe = _arrange_by_revolution_and_probe(
+            columns, revolution_and_probe_indices
+        )
+        revolution_column_sums, gram_matrix = (
+            columns_by_revolution_and_probe.sum(axis=1),
+            columns.T @ columns,
+        )
         psi_variance = float(self.psi @ self.psi) / (len(self.psi) - self.n_unknowns)
         score_covariance = psi_variance * gram_matrix
-        covariance_pairs = self._list_psi_covariances_by_lag(psi_variance, places)
-        for lag, (same_probe_covariance, probe_pair_covariance) in enumerate(covariance_pairs):
+        psi_covariances_by_lag = self._list_psi_covariances_by_lag(
+            psi_variance, revolution_and_probe_indices
+        )
+        for lag, (same_probe_covariance, cross_probe_psi_covariance) in enumerate(
+            psi_covariances_by_lag
+        ):
             tail_slice, head_slice = slice(lag, None), slice(len(revolution_column_sums) - lag)
-            same_probe_products, revolution_products = (
-                table[tail_slice].reshape(-1, len(gram_matrix)).T
-                @ table[head_slice].reshape(-1, len(gram_matrix))
-                for table in (column_table, revolution_column_sums)
+            same_probe_column_products, revolution_products = (
+                columns_or_column_sums[tail_slice].reshape(-1, len(gram_matrix)).T
+                @ columns_or_column_sums[head_slice].reshape(-1, len(gram_matrix))
+                for columns_or_column_sums in (
+                    columns_by_revolution_and_probe,
+                    revolution_column_sums,
+                )
             )
-            lag_term = same_probe_covariance * same_probe_products + probe_pair_covariance * (
-                revolution_products - same_probe_products
+            lag_term = (
+                same_probe_covariance * same_probe_column_products
+                + cross_probe_psi_covariance * (revolution_products - same_probe_column_products)
             )
-            score_covariance += (1.0 - lag / len(covariance_pairs)) * (
+            score_covariance += (1.0 - lag / len(psi_covariances_by_lag)) * (
                 lag_term if lag == 0 else lag_term + lag_term.T
             )
         # Estimated correlations must not reduce a variance below a tenth of that by white errors.
-        eigenvalues, eigenvectors = np.linalg.eigh(gram_matrix)
+        gram_eigenvalues, gram_eigenvectors = np.linalg.eigh(gram_matrix)
         coefficient_basis = (
-            eigenvectors
+            gram_eigenvectors
             * np.where(
-                eigenvalues > MAX_DEPENDENT_EIGENVALUE_RATIO * eigenvalues[-1], eigenvalues, np.inf
+                gram_eigenvalues > MAX_DEPENDENT_EIGENVALUE_RATIO * gram_eigenvalues[-1],
+                gram_eigenvalues,
+                np.inf,
             )
             ** -0.5
         )
@@ -289,7 +313,7 @@ class StudentNoise:
         )
 
     def _list_psi_covariances_by_lag(
-        self, psi_variance: float, places: RevolutionsAndProbes
+        self, psi_variance: float, revolution_and_probe_indices: RevolutionsAndProbes
     ) -> list[tuple[float, float]]:
         """Return covariances of weighted residuals psi for arrivals 0, 1, ... revolutions apart.
 
@@ -302,30 +326,30 @@ class StudentNoise:
         ----------
         psi_variance : float
             Variance of psi.
-        places : pair of (n,) int
+        revolution_and_probe_indices : pair of (n,) int
             Each arrival's revolution index and probe index.
         """
-        covariance_pairs: list[tuple[float, float]] = []
+        psi_covariances_by_lag: list[tuple[float, float]] = []
         for lag, sums_and_counts in enumerate(
-            _yield_product_sums_by_lag(self.psi, itertools.count(), places)
+            _yield_product_sums_by_lag(self.psi, itertools.count(), revolution_and_probe_indices)
         ):
             product_sums, counts = sums_and_counts.T
             max_insignificant_sums = (
-                CONFIDENCE_LEVELS.equal_fit_standard_errors
+                SIGNIFICANCE_LIMITS.n_standard_errors_of_equal_fits
                 * psi_variance
                 * np.sqrt(counts if lag else 2.0 * counts)
             )
-            same_probe_covariance, probe_pair_covariance = np.where(
+            same_probe_covariance, cross_probe_psi_covariance = np.where(
                 np.abs(product_sums) > max_insignificant_sums,
                 product_sums / np.maximum(counts, 1.0),
                 0.0,
             ).tolist()
             if lag == 0:
                 same_probe_covariance = 0.0
-            elif not (same_probe_covariance or probe_pair_covariance):
+            elif not (same_probe_covariance or cross_probe_psi_covariance):
                 break
-            covariance_pairs.append((same_probe_covariance, probe_pair_covariance))
-        return covariance_pairs
+            psi_covariances_by_lag.append((same_probe_covariance, cross_probe_psi_covariance))
+        return psi_covariances_by_lag
 
 
 def student_variance_ratio(freedom: float) -> float:
@@ -337,15 +361,19 @@ def student_variance_ratio(freedom: float) -> float:
     return 1.0 + 2.0 / (freedom - 2.0) if freedom > 2.0 else np.nan
 
 
-def correlation_p_value(values: np.ndarray, places: RevolutionsAndProbes) -> float:
+def correlation_p_value(
+    values: np.ndarray, revolution_and_probe_indices: RevolutionsAndProbes
+) -> float:
     """Return the probability that uncorrelated values look as correlated by chance.
 
     The correlation is a sum of products: each of ``values`` (n,) times the value at the same probe
-    in the next revolution. Only a positive correlation counts. ``places`` are the revolution index
-    and probe index of each value, two arrays (n,). nan for a single revolution, or if all values
-    are 0.
+    in the next revolution. Only a positive correlation counts. ``revolution_and_probe_indices`` are
+    the revolution index and probe index of each value, two arrays (n,). nan for a single
+    revolution, or if all values are 0.
     """
-    _, _, [(lagged_sum, n_lagged_products), _] = _sum_products_with_next_revolution(values, places)
+    _, _, [(lagged_sum, n_lagged_products), _] = _sum_products_with_next_revolution(
+        values, revolution_and_probe_indices
+    )
     value_variance = float(values @ values) / len(values)
     return (
         float(ndtr(-lagged_sum / (value_variance * np.sqrt(n_lagged_products))))
@@ -355,11 +383,12 @@ def correlation_p_value(values: np.ndarray, places: RevolutionsAndProbes) -> flo
 
 
 def _sum_products_with_next_revolution(
-    values: np.ndarray, places: RevolutionsAndProbes
+    values: np.ndarray, revolution_and_probe_indices: RevolutionsAndProbes
 ) -> tuple[np.ndarray, int, np.ndarray]:
     """Sum products of values (n,) within revolutions, and with the next revolution.
 
-    ``places`` are each value's revolution index and probe index, two arrays (n,).
+    ``revolution_and_probe_indices`` are each value's revolution index and probe index, two arrays
+    (n,).
 
     Returns
     -------
@@ -371,43 +400,51 @@ def _sum_products_with_next_revolution(
     lagged_sums : (2, 2)
         The same for products of values ``lag`` revolutions apart.
     """
-    sums_and_counts = np.array([*_yield_product_sums_by_lag(values, range(6), places)])
+    sums_and_counts = np.array(
+        [*_yield_product_sums_by_lag(values, range(6), revolution_and_probe_indices)]
+    )
     lag = 1 + int(np.argmax(sums_and_counts[1:, 0, 1] / np.arange(1, 6)))
     return sums_and_counts[0], lag, sums_and_counts[lag]
 
 
 def _yield_product_sums_by_lag(
-    values: np.ndarray, lags: Iterable[int], places: RevolutionsAndProbes
+    values: np.ndarray, lags: Iterable[int], revolution_and_probe_indices: RevolutionsAndProbes
 ) -> Iterator[np.ndarray]:
     """Yield sums of products of values (n,), for each distance in revolutions.
 
     Each of ``lags``, a distance, gives an array (2, 2). Row 0 has the sum of products at the same
-    probe and their number, row 1 the same for products at two probes. ``places`` are the revolution
-    index and probe index of each value, two arrays (n,).
+    probe and their number, row 1 the same for products at two probes.
+    ``revolution_and_probe_indices`` are the revolution index and probe index of each value, two
+    arrays (n,).
     """
     tables = np.stack(
         [
-            _arrange_by_revolution_and_probe(values_or_ones, places)
+            _arrange_by_revolution_and_probe(values_or_ones, revolution_and_probe_indices)
             for values_or_ones in (values, np.ones(len(values)))
         ]
     )
-    revolution_sums = tables.sum(axis=2)
+    probe_sums_by_revolution = tables.sum(axis=2)
     for lag in lags:
-        n_rows = max(revolution_sums.shape[1] - lag, 0)
+        n_rows = max(probe_sums_by_revolution.shape[1] - lag, 0)
         same_probe_sums = (tables[:, lag:] * tables[:, :n_rows]).sum(axis=(1, 2))
-        all_sums = (revolution_sums[:, lag:] * revolution_sums[:, :n_rows]).sum(axis=1)
+        all_sums = (probe_sums_by_revolution[:, lag:] * probe_sums_by_revolution[:, :n_rows]).sum(
+            axis=1
+        )
         yield np.array([same_probe_sums, all_sums - same_probe_sums])
 
 
 def _arrange_by_revolution_and_probe(
-    values: np.ndarray, places: RevolutionsAndProbes
+    values: np.ndarray, revolution_and_probe_indices: RevolutionsAndProbes
 ) -> np.ndarray:
     """Return values (n, ...) as a table (revolutions, probes, ...), with 0 for a missing value.
 
-    ``places`` are each value's revolution index and probe index, two arrays (n,). The first
-    row of the table is the first revolution with a value.
+    ``revolution_and_probe_indices`` are each value's revolution index and probe index, two arrays
+    (n,). The first row of the table is the first revolution with a value.
     """
-    revolution_indices, probe_indices = places[0] - places[0].min(), places[1]
+    revolution_indices, probe_indices = (
+        revolution_and_probe_indices[0] - revolution_and_probe_indices[0].min(),
+        revolution_and_probe_indices[1],
+    )
     value_table = np.zeros(
         (int(revolution_indices.max()) + 1, int(probe_indices.max()) + 1, *values.shape[1:])
     )

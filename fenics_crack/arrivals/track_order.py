@@ -23,7 +23,7 @@ from fenics_crack.arrivals.harmonics import (
     raise_too_few_probes,
 )
 from fenics_crack.arrivals.robust import (
-    CONFIDENCE_LEVELS,
+    SIGNIFICANCE_LIMITS,
     correlation_p_value,
     student_variance_ratio,
 )
@@ -84,11 +84,15 @@ class TipTrack(HarmonicFit):
         """True if a test of the fit fails, or cannot be made.
 
         A test fails if ``misfit`` is below 0.001, or harmonics outside the fit may have changed an
-        amplitude (:attr:`may_be_folded`). A test cannot be made if ``misfit`` or ``folded`` is nan,
-        for instance with as many unknowns as probes.
+        amplitude (:attr:`may_contain_aliased_harmonics`). A test cannot be made if ``misfit`` or
+        ``folded`` is nan, for instance with as many unknowns as probes.
         """
-        is_chance_unknown = np.isnan([self.misfit, self.folded])
-        return self.does_not_fit or self.may_be_folded or bool(np.any(is_chance_unknown))
+        is_test_probability_unknown = np.isnan([self.misfit, self.folded])
+        return (
+            self.does_not_fit
+            or self.may_contain_aliased_harmonics
+            or bool(np.any(is_test_probability_unknown))
+        )
 
     frequency = hertz_property()
 
@@ -179,66 +183,90 @@ def track_order(
     n_probes = len(arrivals.probes)
     if not n_groups:
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, all of the record")
-    first_phases = order * arrivals.nominal_angle[:revolutions].ravel()
-    if np.isinf(condition_number(fourier_basis(first_phases, multiples))):
+    first_group_load_phases = order * arrivals.rotor_angle_without_vibration[:revolutions].ravel()
+    if np.isinf(condition_number(fourier_basis(first_group_load_phases, multiples))):
         raise_too_few_probes(arrivals, n_unknowns)
-    angles, nominal_angles, displacements = (
-        source_array[: n_groups * revolutions].reshape(n_groups, revolutions * n_probes)
-        for source_array in (arrivals.angle, arrivals.nominal_angle, arrivals.displacement)
+    angles, rotor_angles_without_vibration, displacements = (
+        angles_or_displacements[: n_groups * revolutions].reshape(n_groups, revolutions * n_probes)
+        for angles_or_displacements in (
+            arrivals.angle,
+            arrivals.rotor_angle_without_vibration,
+            arrivals.displacement,
+        )
     )
     has_arrival = np.isfinite(displacements)
     n_arrivals, displacements = has_arrival.sum(axis=1), np.where(has_arrival, displacements, 0.0)
     wave_columns, nominal_columns = (
         np.where(has_arrival[..., None], fourier_basis(order * angle_array, multiples), 0.0)
-        for angle_array in (np.nan_to_num(angles), nominal_angles)
+        for angle_array in (np.nan_to_num(angles), rotor_angles_without_vibration)
     )
     has_fit = np.linalg.matrix_rank(nominal_columns, tol=1e-6) == n_unknowns
     column_pseudoinverses = np.linalg.pinv(wave_columns)
-    group_angle = RAD_PER_TURN * revolutions
-    positions = (nominal_angles - nominal_angles[:, :1] + arrivals.probes[0]) / group_angle - 0.5
+    rotor_angle_per_group = RAD_PER_TURN * revolutions
+    relative_positions_in_group = (
+        rotor_angles_without_vibration - rotor_angles_without_vibration[:, :1] + arrivals.probes[0]
+    ) / rotor_angle_per_group - 0.5
     displacements, coefficient_changes = _subtract_linear_changes(
-        displacements, column_pseudoinverses, wave_columns, positions, np.flatnonzero(has_fit)
+        displacements,
+        column_pseudoinverses,
+        wave_columns,
+        relative_positions_in_group,
+        np.flatnonzero(has_fit),
     )
     coefficients = column_pseudoinverses @ displacements[..., None]
     residuals = np.where(
         has_arrival & has_fit[:, None], displacements - (wave_columns @ coefficients)[..., 0], 0.0
     )
-    places = np.nonzero(has_arrival.reshape(-1, n_probes))
+    revolution_and_probe_indices = np.nonzero(has_arrival.reshape(-1, n_probes))
     n_spare = n_probes * (subharmonic if revolutions > 1 else 1) - n_unknowns
-    misfit = np.nan
+    misfit_p_value = np.nan
     if n_spare > 0:
-        misfit = correlation_p_value(residuals.reshape(-1, n_probes)[places], places)
+        misfit_p_value = correlation_p_value(
+            residuals.reshape(-1, n_probes)[revolution_and_probe_indices],
+            revolution_and_probe_indices,
+        )
     variance, freedom = _estimate_variance_and_freedom(
         residuals, has_arrival, np.where(has_fit, n_arrivals - n_unknowns, 0)
     )
     variance = max(variance, arrivals.displacement_rounding**2)
     sample_fit_by_group = _fit_samples_by_group(
-        arrivals, order, multiples, nominal_angles, displacements, has_arrival,
+        arrivals, order, multiples, rotor_angles_without_vibration, displacements, has_arrival,
         np.flatnonzero(has_fit), variance, freedom, angle_deviation,
     )  # fmt: skip
     if n_spare > 1 and freedom > 0:
-        sample_fit_by_group = _refit_groups_with_omitted_harmonics(sample_fit_by_group)
+        sample_fit_by_group = _refit_groups_with_higher_harmonics(sample_fit_by_group)
     coefficients, covariances = _find_coefficients_and_covariances(
         sample_fit_by_group, n_arrivals, coefficient_changes, freedom
     )
-    amplitudes, errors = compute_amplitudes_and_errors(coefficients, covariances)
-    fold_risk = np.nan
+    amplitudes, amplitude_errors = compute_amplitudes_and_errors(coefficients, covariances)
+    amplitude_error_probability = np.nan
     if n_spare > 1 and freedom > 0 and sample_fit_by_group:
-        peak_groups = {int(np.nanargmax(group_amplitudes)) for group_amplitudes in amplitudes.T}
-        fold_risk = max(
-            sample.compute_folding_chance(fit)
-            for sample, fit in map(sample_fit_by_group.__getitem__, peak_groups)
+        peak_group_indices = {
+            int(np.nanargmax(amplitudes_over_groups)) for amplitudes_over_groups in amplitudes.T
+        }
+        amplitude_error_probability = max(
+            sample.compute_amplitude_error_probability(fit)
+            for sample, fit in map(sample_fit_by_group.__getitem__, peak_group_indices)
         )
     group_marks = arrivals.marks[: n_groups * revolutions + 1 : revolutions]
     speeds = 2.0 * np.pi * revolutions / np.diff(group_marks)
-    return TipTrack(order, speeds, multiples, coefficients, amplitudes, errors, misfit, fold_risk)
+    return TipTrack(
+        order,
+        speeds,
+        multiples,
+        coefficients,
+        amplitudes,
+        amplitude_errors,
+        misfit_p_value,
+        amplitude_error_probability,
+    )
 
 
 def _fit_samples_by_group(
     arrivals: ArrivalTimes,
     order: float,
     multiples: np.ndarray,
-    nominal_angles: np.ndarray,
+    rotor_angles_without_vibration: np.ndarray,
     displacements: np.ndarray,
     has_arrival: np.ndarray,
     fitted_groups: np.ndarray,
@@ -254,7 +282,7 @@ def _fit_samples_by_group(
     ----------
     arrivals, order, multiples, angle_deviation
         Record, order p, multiples (K,), and probe angles' standard deviation [rad].
-    nominal_angles, displacements, has_arrival : (n, m)
+    rotor_angles_without_vibration, displacements, has_arrival : (n, m)
         Rotor angles without vibration [rad], displacements [m], and True for an arrival.
     fitted_groups : (k,)
         Indices of groups with enough arrivals.
@@ -268,14 +296,14 @@ def _fit_samples_by_group(
         (:meth:`Sample.fit_order_or_none`).
     """
     probe_indices = np.arange(has_arrival.shape[1]) % len(arrivals.probes)
-    shares_probe_matrix = probe_indices[:, None] == probe_indices
+    is_same_probe = probe_indices[:, None] == probe_indices
     covariance = variance * np.eye(len(probe_indices))
-    covariance += (arrivals.tip_radius * angle_deviation) ** 2 * shares_probe_matrix
+    covariance += (arrivals.tip_radius * angle_deviation) ** 2 * is_same_probe
     sample_fit_by_group = {}
     for group_index in fitted_groups.tolist():
         is_used = has_arrival[group_index]
         sample = Sample(
-            nominal_angles[group_index, is_used],
+            rotor_angles_without_vibration[group_index, is_used],
             displacements[group_index, is_used],
             covariance[np.ix_(is_used, is_used)],
             freedom,
@@ -370,7 +398,7 @@ def _subtract_linear_changes(
     ) * coefficient_rates
 
 
-def _refit_groups_with_omitted_harmonics(
+def _refit_groups_with_higher_harmonics(
     sample_fit_by_group: dict[int, tuple[Sample, OrderFit]],
 ) -> dict[int, tuple[Sample, OrderFit]]:
     """Repeat the fits of all groups with omitted harmonics as further unknowns.
@@ -381,7 +409,7 @@ def _refit_groups_with_omitted_harmonics(
     and so with large residuals, do not count.
     """
     costs_and_fits_of_groups = [
-        sample.list_costs_and_fits_by_omitted_size(
+        sample.list_refits_by_harmonic_size(
             fit,
             np.minimum(
                 np.linalg.norm(fit.coefficients[1:]) * TRIAL_OMITTED_HARMONIC_RATIOS,
@@ -390,30 +418,33 @@ def _refit_groups_with_omitted_harmonics(
         )
         for sample, fit in sample_fit_by_group.values()
     ]
-    cost_rows = np.array([costs for costs, _ in costs_and_fits_of_groups])
+    cost_by_group_and_size = np.array([costs for costs, _ in costs_and_fits_of_groups])
     residual_square_sums = np.array([fit.sum_of_squares for _, fit in sample_fit_by_group.values()])
     spare_counts = [
         len(sample.displacements) - len(fit.coefficients)
         for sample, fit in sample_fit_by_group.values()
     ]
     freedoms = np.maximum(spare_counts, 1)
-    joint_fit_by_group = {}
+    sample_and_refit_by_group = {}
     for sample_position, (group_index, (sample, _)) in enumerate(sample_fit_by_group.items()):
         window_slice = slice(
             max(sample_position - N_NEIGHBOUR_GROUPS_PER_SIDE, 0),
             sample_position + N_NEIGHBOUR_GROUPS_PER_SIDE + 1,
         )
-        max_trusted_squares = _estimate_quartile_variance(
+        max_trusted_residual_square_sums = _estimate_quartile_variance(
             residual_square_sums[window_slice], freedoms[window_slice]
-        ) * chdtri(freedoms[window_slice], CONFIDENCE_LEVELS.misfit_significance_level)
+        ) * chdtri(freedoms[window_slice], SIGNIFICANCE_LIMITS.misfit_significance_level)
         # Groups above the limit have wrong arrivals.
-        trusted_cost_rows = cost_rows[window_slice][
-            residual_square_sums[window_slice] <= max_trusted_squares
+        trusted_cost_rows = cost_by_group_and_size[window_slice][
+            residual_square_sums[window_slice] <= max_trusted_residual_square_sums
         ]
-        best_size_index = int(np.argmin(trusted_cost_rows.sum(axis=0)))
-        _, group_fits = costs_and_fits_of_groups[sample_position]
-        joint_fit_by_group[group_index] = sample, group_fits[best_size_index]
-    return joint_fit_by_group
+        best_harmonic_size_index = int(np.argmin(trusted_cost_rows.sum(axis=0)))
+        _, fits_by_harmonic_size = costs_and_fits_of_groups[sample_position]
+        sample_and_refit_by_group[group_index] = (
+            sample,
+            fits_by_harmonic_size[best_harmonic_size_index],
+        )
+    return sample_and_refit_by_group
 
 
 def _estimate_variance_and_freedom(
@@ -444,12 +475,12 @@ def _estimate_variance_and_freedom(
     is_usable = freedoms > 0
     if not np.any(is_usable):
         return (float((residuals**2).sum()) / total_freedom if total_freedom else 1.0), 0
-    difference_square_sums = 0.5 * (
+    residual_difference_square_sums = 0.5 * (
         np.where(has_arrival_pair, np.diff(residuals, axis=0), 0.0) ** 2
     ).sum(axis=1)
-    return _estimate_quartile_variance(difference_square_sums[is_usable], freedoms[is_usable]), int(
-        freedoms[is_usable].sum()
-    ) // 2
+    return _estimate_quartile_variance(
+        residual_difference_square_sums[is_usable], freedoms[is_usable]
+    ), int(freedoms[is_usable].sum()) // 2
 
 
 def _estimate_quartile_variance(residual_square_sums: np.ndarray, freedoms: np.ndarray) -> float:

@@ -74,17 +74,23 @@ class Run:
     """
 
     def __init__(
-        self, record: Record, displacements: np.ndarray, begin_revolution: int, end_revolution: int
+        self,
+        record: ArrivalsWithStiffeningLaw,
+        displacements: np.ndarray,
+        begin_revolution: int,
+        end_revolution: int,
     ) -> None:
         arrivals, revolution_slice = record.arrivals, slice(begin_revolution, end_revolution)
         self.begin_revolution, self.end_revolution = begin_revolution, end_revolution
         self.record = record
         self.has_arrival = np.isfinite(displacements[revolution_slice])
         self.displacements = np.where(self.has_arrival, displacements[revolution_slice], 0.0)
-        self.nominal_rotor_angles = arrivals.nominal_angle[revolution_slice]
+        self.rotor_angles_without_vibration = arrivals.rotor_angle_without_vibration[
+            revolution_slice
+        ]
         self.expected_arrival_times = arrivals.expected[revolution_slice]
         self.arrival_rotor_angles = np.where(
-            self.has_arrival, arrivals.angle[revolution_slice], self.nominal_rotor_angles
+            self.has_arrival, arrivals.angle[revolution_slice], self.rotor_angles_without_vibration
         )
         self.revolution_speeds = arrivals.speed[revolution_slice]
         self.displacement_rounding = arrivals.displacement_rounding
@@ -110,16 +116,20 @@ class Run:
         poles : (m,) complex [1/s]
             Poles lambda of m modes, at equal distances.
         """
-        column_poles = poles[:, None]
-        steady_responses = 1.0 / (1j * order * self._expected_speeds - column_poles)
+        poles_as_column = poles[:, None]
+        steady_responses = 1.0 / (1j * order * self._expected_speeds - poles_as_column)
         envelopes = np.empty((len(poles), self.arrival_rotor_angles.size), dtype=complex)
         envelopes[:, 0] = steady_responses[:, 0]
-        for part_slice, _, growths in self._yield_growths(order, poles):
+        for part_slice, _, growth_factors in self._yield_growth_factors_by_part(order, poles):
             part_responses = steady_responses[:, part_slice.start : part_slice.stop - 1]
-            response_sums = np.cumsum((growths[:, 1:] - growths[:, :-1]) * part_responses, axis=1)
+            response_sums = np.cumsum(
+                (growth_factors[:, 1:] - growth_factors[:, :-1]) * part_responses, axis=1
+            )
             response_sums += envelopes[:, [part_slice.start]]
-            envelopes[:, part_slice.start + 1 : part_slice.stop] = response_sums / growths[:, 1:]
-        envelopes *= -column_poles.real * np.exp(1j * order * self.arrival_rotor_angles.ravel())
+            envelopes[:, part_slice.start + 1 : part_slice.stop] = (
+                response_sums / growth_factors[:, 1:]
+            )
+        envelopes *= -poles_as_column.real * np.exp(1j * order * self.arrival_rotor_angles.ravel())
         return envelopes.reshape(-1, *self.arrival_rotor_angles.shape)
 
     def compute_wave(self, mode: Mode) -> np.ndarray:
@@ -140,14 +150,18 @@ class Run:
         steady_responses = 1.0 / (1j * order * self._expected_speeds - mode_pole)
         envelopes = np.empty((2, self.arrival_rotor_angles.size), dtype=complex)
         envelopes[:, 0] = steady_responses[0], steady_responses[0] ** 2
-        for part_slice, durations, [growths] in self._yield_growths(order, np.array([mode_pole])):
-            growth_and_slope = np.stack([growths, -durations * growths])
+        for part_slice, durations, [growth_factors] in self._yield_growth_factors_by_part(
+            order, np.array([mode_pole])
+        ):
+            growth_and_slope = np.stack([growth_factors, -durations * growth_factors])
             part_responses = steady_responses[part_slice.start : part_slice.stop - 1]
-            envelope_changes = (growth_and_slope[:, 1:] - growth_and_slope[:, :-1]) * part_responses
-            envelope_changes[1] += envelope_changes[0] * part_responses
+            envelope_increments = (
+                growth_and_slope[:, 1:] - growth_and_slope[:, :-1]
+            ) * part_responses
+            envelope_increments[1] += envelope_increments[0] * part_responses
             part_envelopes = (
-                envelopes[:, [part_slice.start]] + np.cumsum(envelope_changes, axis=1)
-            ) / growths[1:]
+                envelopes[:, [part_slice.start]] + np.cumsum(envelope_increments, axis=1)
+            ) / growth_factors[1:]
             part_envelopes[1] += durations[1:] * part_envelopes[0]
             envelopes[:, part_slice.start + 1 : part_slice.stop] = part_envelopes
         envelopes *= -mode_pole.real * np.exp(1j * order * self.arrival_rotor_angles.ravel())
@@ -157,11 +171,11 @@ class Run:
     @cached_property
     def _expected_speeds(self) -> np.ndarray:
         """Rotor speed from each arrival without vibration to the next: (R P - 1,) [rad/s]."""
-        return np.diff(self.nominal_rotor_angles.ravel()) / np.diff(
+        return np.diff(self.rotor_angles_without_vibration.ravel()) / np.diff(
             self.expected_arrival_times.ravel()
         )
 
-    def _yield_growths(
+    def _yield_growth_factors_by_part(
         self, order: float, poles: np.ndarray
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Yield the growth exp(i p alpha - lambda t) at the expected arrivals, part by part.
@@ -186,24 +200,33 @@ class Run:
         growths : (m, n) complex
             The growth since the part's first arrival, for each pole.
         """
-        omega = float(np.abs(poles).mean())
+        mean_omega = float(np.abs(poles).mean())
         angles_and_times = np.stack(
-            [self.nominal_rotor_angles.ravel(), self.expected_arrival_times.ravel()]
+            [self.rotor_angles_without_vibration.ravel(), self.expected_arrival_times.ravel()]
         )
-        angles_and_times *= 1.0 - self.record.stiffening(omega / order, omega)
-        max_exponent = -float(poles.real.min()) * float(np.ptp(angles_and_times[1]))
-        n_parts = int(max_exponent // 300.0) + 1
-        edge_indices = [
+        angles_and_times *= 1.0 - self.record.stiffening(mean_omega / order, mean_omega)
+        largest_growth_exponent = -float(poles.real.min()) * float(np.ptp(angles_and_times[1]))
+        n_parts = int(largest_growth_exponent // 300.0) + 1
+        part_edge_arrival_indices = [
             (self.arrival_rotor_angles.size - 1) * part_index // n_parts
             for part_index in range(n_parts + 1)
         ]
-        for begin_index, end_index in itertools.pairwise(edge_indices):
-            part_slice = slice(begin_index, end_index + 1)
-            angles, durations = angles_and_times[:, part_slice] - angles_and_times[:, [begin_index]]
-            first_growths = np.exp(1j * order * angles - poles[0] * durations)
-            growth_ratios = np.exp((poles[0] - poles[-1]) / max(len(poles) - 1, 1) * durations)
-            growths = np.cumprod([first_growths, *[growth_ratios] * (len(poles) - 1)], axis=0)
-            yield part_slice, durations, growths
+        for first_arrival_index, last_arrival_index in itertools.pairwise(
+            part_edge_arrival_indices
+        ):
+            part_slice = slice(first_arrival_index, last_arrival_index + 1)
+            angles, durations = (
+                angles_and_times[:, part_slice] - angles_and_times[:, [first_arrival_index]]
+            )
+            growths_of_first_pole = np.exp(1j * order * angles - poles[0] * durations)
+            growth_ratios_of_successive_poles = np.exp(
+                (poles[0] - poles[-1]) / max(len(poles) - 1, 1) * durations
+            )
+            growth_factors = np.cumprod(
+                [growths_of_first_pole, *[growth_ratios_of_successive_poles] * (len(poles) - 1)],
+                axis=0,
+            )
+            yield part_slice, durations, growth_factors
 
     def _compute_orthonormal_drifts(self, sqrt_weights: np.ndarray) -> np.ndarray:
         """Return the drift functions of each probe, weighted and orthonormal: (2, R, P).
@@ -254,19 +277,19 @@ class Run:
             drifts, times the square roots of the weights.
         """
         waves_and_values = np.stack([wave.real, -wave.imag, self.displacements])
-        *wave_parts, weighted_displacements = self.subtract_weighted_drifts(
+        *real_and_imaginary_waves, weighted_displacements = self.subtract_weighted_drifts(
             waves_and_values, weights
         )
-        matrices = np.einsum("arp,brp->pab", wave_parts, wave_parts)
+        matrices = np.einsum("arp,brp->pab", real_and_imaginary_waves, real_and_imaginary_waves)
         return (
             matrices,
-            np.einsum("arp,rp->pa", wave_parts, weighted_displacements),
-            np.array(wave_parts),
+            np.einsum("arp,rp->pa", real_and_imaginary_waves, weighted_displacements),
+            np.array(real_and_imaginary_waves),
             weighted_displacements,
         )
 
     def compute_squares_reductions(
-        self, orders: np.ndarray, pole_rows: np.ndarray, weights: np.ndarray
+        self, orders: np.ndarray, trial_poles_by_order: np.ndarray, weights: np.ndarray
     ) -> np.ndarray:
         """Return how much single modes reduce the sum of squared residuals: (n, m) [m^2].
 
@@ -276,7 +299,7 @@ class Run:
         ----------
         orders : (n,)
             Engine orders.
-        pole_rows : (n, m) complex [1/s]
+        trial_poles_by_order : (n, m) complex [1/s]
             Poles lambda of m trial modes for each order, equidistant in a row.
         weights : (R, P)
             Arrival weights.
@@ -286,26 +309,32 @@ class Run:
         weighted_residuals = (
             sqrt_weights * self.subtract_weighted_drifts(self.displacements, weights)
         ).ravel()
-        for order, order_poles in zip(orders.tolist(), pole_rows, strict=True):
+        for order, order_poles in zip(orders.tolist(), trial_poles_by_order, strict=True):
             waves = self.compute_waves(order, order_poles)
-            drift_products = np.einsum("krp,mrp->mkp", weighted_drifts, waves)
+            drift_wave_products = np.einsum("krp,mrp->mkp", weighted_drifts, waves)
             waves = waves.reshape(len(order_poles), -1)
             wave_products = waves @ weighted_residuals
-            wave_bilinear_sums = waves**2 @ weight_vector - (drift_products**2).sum(axis=(1, 2))
+            unconjugated_wave_square_sums = waves**2 @ weight_vector - (drift_wave_products**2).sum(
+                axis=(1, 2)
+            )
             wave_square_sums = (waves.real**2 + waves.imag**2) @ weight_vector
-            wave_square_sums -= (drift_products.real**2 + drift_products.imag**2).sum(axis=(1, 2))
+            wave_square_sums -= (drift_wave_products.real**2 + drift_wave_products.imag**2).sum(
+                axis=(1, 2)
+            )
             numerators = (
                 wave_square_sums * np.abs(wave_products) ** 2
-                - (wave_bilinear_sums.conj() * wave_products**2).real
+                - (unconjugated_wave_square_sums.conj() * wave_products**2).real
             )
             reductions.append(
-                2.0 * numerators / (wave_square_sums**2 - np.abs(wave_bilinear_sums) ** 2)
+                2.0
+                * numerators
+                / (wave_square_sums**2 - np.abs(unconjugated_wave_square_sums) ** 2)
             )
         return np.array(reductions)
 
 
 @dataclass(frozen=True)
-class Record:
+class ArrivalsWithStiffeningLaw:
     """Hold arrivals, and the stiffening function of the blade.
 
     ``stiffening`` is s(speed, natural frequency), both in rad/s, with s = d ln w_n / d ln W for the
@@ -322,8 +351,10 @@ class Record:
         over 10 revolutions begins a new run. Probes with fewer than 10 arrivals in a run do not
         count in this run. ``displacements`` are (revolutions, probes) [m].
         """
-        relative_offsets = self.arrivals.speed / speed - 1.0
-        near_rows = np.flatnonzero(np.abs(relative_offsets) < FITTED_SPEEDS_RELATIVE_HALF_WIDTH)
+        relative_speed_offsets = self.arrivals.speed / speed - 1.0
+        near_rows = np.flatnonzero(
+            np.abs(relative_speed_offsets) < FITTED_SPEEDS_RELATIVE_HALF_WIDTH
+        )
         runs = []
         for run_rows in np.split(
             near_rows,
@@ -331,7 +362,9 @@ class Record:
         ):
             if (
                 len(run_rows) >= MIN_REVOLUTIONS_FOR_SPEED_OR_RESONANCE
-                and relative_offsets[run_rows].min() < 0.0 < relative_offsets[run_rows].max()
+                and relative_speed_offsets[run_rows].min()
+                < 0.0
+                < relative_speed_offsets[run_rows].max()
             ):
                 run = Run(self, displacements, int(run_rows[0]), int(run_rows[-1]) + 1)
                 # Leave out probes that measured too few revolutions of the run.
@@ -351,21 +384,21 @@ def make_stiffening_function(stiffening: float | StiffeningFunction) -> Stiffeni
     if callable(stiffening):
 
         def clipped_function(speed: float, omega: float) -> float:
-            stiffening_value = float(
+            stiffening_exponent = float(
                 np.clip(stiffening(speed, omega), -MAX_STIFFENING_EXPONENT, MAX_STIFFENING_EXPONENT)
             )
-            check_number(f"stiffening({speed:.6g}, {omega:.6g})", stiffening_value)
-            return stiffening_value
+            check_number(f"stiffening({speed:.6g}, {omega:.6g})", stiffening_exponent)
+            return stiffening_exponent
 
         return clipped_function
     check_number("stiffening", stiffening)
-    if abs(stiffening_value := float(stiffening)) > MAX_STIFFENING_EXPONENT:
+    if abs(stiffening_exponent := float(stiffening)) > MAX_STIFFENING_EXPONENT:
         raise InputError(
             "stiffening",
             stiffening,
             f"a number from -{MAX_STIFFENING_EXPONENT} to {MAX_STIFFENING_EXPONENT}",
         )
-    return lambda speed, omega: stiffening_value
+    return lambda speed, omega: stiffening_exponent
 
 
 def compute_poles(omegas: np.ndarray, damping_ratio: float) -> np.ndarray:
@@ -468,10 +501,10 @@ class Fit:
         step_bounds = [
             [
                 mode.find_step_to(
-                    omega * (1.0 + bound_sign * FITTED_SPEEDS_RELATIVE_HALF_WIDTH),
-                    DAMPING_RATIO_BOUNDS[bound_sign > 0],
+                    omega * (1.0 + lower_or_upper_sign * FITTED_SPEEDS_RELATIVE_HALF_WIDTH),
+                    DAMPING_RATIO_BOUNDS[lower_or_upper_sign > 0],
                 )
-                for bound_sign in (-1, 1)
+                for lower_or_upper_sign in (-1, 1)
             ]
             for mode, omega in zip(initial_modes, self._initial_omegas, strict=True)
         ]
@@ -540,9 +573,12 @@ class Fit:
             )[0]
             residual_rows -= force_parts.T @ wave_columns
             run_forces.append(force_parts[0::2, 0] + 1j * force_parts[1::2, 0])
-            force_slopes = run_forces[-1][:, None] * log_pole_slopes  # by ln w_n, and by ln zeta
+            force_times_log_pole_slopes = (
+                run_forces[-1][:, None] * log_pole_slopes
+            )  # by ln w_n, and by ln zeta
             residual_slopes = (
-                force_slopes[..., None] * (residual_rows[1::2] - 1j * residual_rows[2::2])[:, None]
+                force_times_log_pole_slopes[..., None]
+                * (residual_rows[1::2] - 1j * residual_rows[2::2])[:, None]
             )
             residual_blocks.append(
                 np.vstack(
@@ -558,7 +594,7 @@ class Fit:
     def _split_by_run(self, values: np.ndarray) -> list[np.ndarray]:
         """Split values (n,) of all arrivals by run: (R, P) for each run, 0 without an arrival."""
         split_indices = np.cumsum([int(run.has_arrival.sum()) for run in self._runs])[:-1]
-        run_arrays = [np.zeros(run.nominal_rotor_angles.shape) for run in self._runs]
+        run_arrays = [np.zeros(run.rotor_angles_without_vibration.shape) for run in self._runs]
         for run_array, run, arrival_values in zip(
             run_arrays, self._runs, np.split(values, split_indices), strict=True
         ):
@@ -603,28 +639,32 @@ class Fit:
         )
 
     @cached_property
-    def motions(self) -> list[np.ndarray]:
+    def displacements_by_mode(self) -> list[np.ndarray]:
         """Displacements by each mode in the whole record: (revolutions, probes) [m] for each.
 
         In a run, the consecutive revolutions near a resonance, the motion has the fitted force.
         Outside the runs, the motion of the nearest run is continued halfway to the next run.
         """
         record = self._runs[0].record
-        halfway_revolutions = [
+        revolutions_halfway_between_runs = [
             (run.end_revolution + next_run.begin_revolution) // 2
             for run, next_run in itertools.pairwise(self._runs)
         ]
-        edge_revolutions = [0, *halfway_revolutions, len(record.arrivals)]
-        zero_displacements = np.zeros(record.arrivals.time.shape)
-        continued_runs = [
-            Run(record, zero_displacements, begin_revolution, end_revolution)
-            for begin_revolution, end_revolution in itertools.pairwise(edge_revolutions)
+        extended_run_edge_revolutions = [0, *revolutions_halfway_between_runs, len(record.arrivals)]
+        placeholder_displacements = np.zeros(record.arrivals.time.shape)
+        runs_extended_over_record = [
+            Run(record, placeholder_displacements, begin_revolution, end_revolution)
+            for begin_revolution, end_revolution in itertools.pairwise(
+                extended_run_edge_revolutions
+            )
         ]
         return [
             np.concatenate(
                 [
                     (complex_force * run.compute_wave(mode)).real
-                    for run, complex_force in zip(continued_runs, mode_forces, strict=True)
+                    for run, complex_force in zip(
+                        runs_extended_over_record, mode_forces, strict=True
+                    )
                 ]
             )
             for mode, mode_forces in zip(self.modes, self.forces, strict=True)
@@ -637,12 +677,14 @@ class Fit:
         A small probability means another vibration or drift in the residuals; nan without a test.
         """
         mark_numbers = np.arange(-4.0, 6.0)  # farther marks hardly change the angle's spline
-        mark_shares = interpolate_by_splines(
+        arrival_shift_per_mark_error = interpolate_by_splines(
             mark_numbers,
             np.eye(len(mark_numbers)),
-            self._runs[0].nominal_rotor_angles[0] / RAD_PER_TURN % 1.0,
+            self._runs[0].rotor_angles_without_vibration[0] / RAD_PER_TURN % 1.0,
         ).T
-        return self.noise.compute_whiteness_p_value(self.revolutions_and_probes, mark_shares)
+        return self.noise.compute_whiteness_p_value(
+            self.revolutions_and_probes, arrival_shift_per_mark_error
+        )
 
     @property
     def weights(self) -> list[np.ndarray]:
@@ -658,24 +700,32 @@ class Fit:
         Such probes are a minority, and differ from the median amplitude over five times more than
         all other probes.
         """
-        n_probes = self._runs[0].nominal_rotor_angles.shape[1]
-        matrices, vectors = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))
-        size_ratios = np.ones(n_probes)
+        n_probes = self._runs[0].rotor_angles_without_vibration.shape[1]
+        matrices, right_hand_sides = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))
+        amplitude_over_median_ratios = np.ones(n_probes)
         for run, complex_force, run_weights in zip(
             self._runs, self.forces[0], self.weights, strict=True
         ):
             run_equations = run.build_equations_by_probe(
                 complex_force * run.compute_wave(self.first_mode), run_weights
             )
-            matrices, vectors = matrices + run_equations[0], vectors + run_equations[1]
+            matrices, right_hand_sides = (
+                matrices + run_equations[0],
+                right_hand_sides + run_equations[1],
+            )
         has_motion = matrices.any(axis=(1, 2))
-        probe_amplitudes = np.linalg.solve(matrices[has_motion], vectors[has_motion, :, None])[
-            ..., 0
-        ]
-        size_ratios[has_motion] = np.hypot(*probe_amplitudes.T) / np.median(probe_amplitudes[:, 0])
+        probe_amplitudes = np.linalg.solve(
+            matrices[has_motion], right_hand_sides[has_motion, :, None]
+        )[..., 0]
+        amplitude_over_median_ratios[has_motion] = np.hypot(*probe_amplitudes.T) / np.median(
+            probe_amplitudes[:, 0]
+        )
         # Measured: of 200 records with 4 to 8 probes, and a second mode within the width, one had
         # a probe that fulfils these conditions.
-        has_small_ratio, ratio_offsets = size_ratios < 0.5, np.abs(size_ratios - 1.0)
+        has_small_ratio, amplitude_ratio_offsets_from_one = (
+            amplitude_over_median_ratios < 0.5,
+            np.abs(amplitude_over_median_ratios - 1.0),
+        )
         if (
             not 0
             < np.count_nonzero(has_small_ratio)
@@ -684,7 +734,10 @@ class Fit:
             return np.array([], dtype=int)
         return np.flatnonzero(
             has_small_ratio
-            & (ratio_offsets[has_small_ratio].min() > 5.0 * ratio_offsets[~has_small_ratio].max())
+            & (
+                amplitude_ratio_offsets_from_one[has_small_ratio].min()
+                > 5.0 * amplitude_ratio_offsets_from_one[~has_small_ratio].max()
+            )
         )
 
     @cached_property
@@ -700,7 +753,7 @@ class Fit:
             return np.asarray(np.concatenate(run_residuals) / np.sqrt(weights))
 
         n_drift_unknowns = self.noise.n_unknowns - 2 * len(self.modes) * (1 + len(self._runs))
-        drift_noise = fit_noise_by_reweighting(
+        noise_without_modes = fit_noise_by_reweighting(
             solve, self.noise.weights, n_drift_unknowns, self._runs[0].displacement_rounding
         )
-        return drift_noise.cost - self.noise.cost
+        return noise_without_modes.cost - self.noise.cost

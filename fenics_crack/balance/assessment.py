@@ -1,9 +1,10 @@
 """Error and stability of a harmonic-balance solution with a given number of harmonics.
 
 One step of Newton's method for the whole solution on the exact flow predicts the effect of the
-truncated harmonics (:func:`fenics_crack.motion.orbit.predict_orbit`). Newton's method for a single
-state then starts from the predicted state, or from the solution's, and finds the nearest orbit. If
-the search for the solution started from an orbit, this orbit is taken without Newton's method.
+truncated harmonics (:func:`fenics_crack.motion.orbit.predict_orbit_by_newton_step`). Newton's
+method for a single state then starts from the predicted state, or from the solution's, and finds
+the nearest orbit. If the search for the solution started from an orbit, this orbit is taken without
+Newton's method.
 
 The distance to the orbit is the error. The orbit is accepted if the relative distance is at most
 0.1 (0.5 if crack faces have no mass), and at most three times the prediction. The motion's Floquet
@@ -23,13 +24,13 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from fenics_crack.balance.contact_system import Wave
+from fenics_crack.balance.contact_system import PeriodicMotion
 from fenics_crack.balance.more_modes import (
     ERROR_IF_UNKNOWN,
-    MoreModes,
+    MoreModesComparison,
     are_crack_faces_still,
     more_modes_structure_of,
-    motion_along_load,
+    project_motion_on_load,
 )
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.tables import format_percent
@@ -38,12 +39,12 @@ from fenics_crack.motion.attractors import Attractor, find_irregular_motion
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_none
 from fenics_crack.motion.orbit import (
     MAX_SEARCH_PERIODS,
+    OrbitPrediction,
     PeriodicOrbit,
-    Prediction,
     find_orbit,
     is_load_too_slow,
     is_orbit_search_affordable,
-    predict_orbit,
+    predict_orbit_by_newton_step,
 )
 from fenics_crack.motion.search import series_states_at_period_parts
 from fenics_crack.numerics.equations import COARSE_TOLERANCE
@@ -63,7 +64,7 @@ MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES = 0.5
 Measured on ten orbits at a distance from 0.1 to 0.5, within three times the prediction. For nine,
 the solution with many harmonics had the same orbit. All ten had the same verdict on stability.
 """
-MAX_HARMONIC_DOUBLINGS = 2
+MAX_HARMONIC_DOUBLINGS_FOR_ORBIT = 2
 """Maximum number of times that the harmonics are doubled to find an orbit."""
 
 
@@ -76,13 +77,13 @@ class Assessment:
 
     Parameters
     ----------
-    wave : Wave
+    wave : PeriodicMotion
         Motion of the solution.
     exact_orbit : PeriodicOrbit, optional
         Orbit whose Fourier coefficients the solution has.
     source_orbit : PeriodicOrbit, optional
         Orbit from whose coefficients the solution was found.
-    more_modes : MoreModes, optional
+    more_modes : MoreModesComparison, optional
         Motion of ``exact_orbit`` with more modes, if known.
     flow : ContactFlow, optional
         Exact flow, if known.
@@ -92,13 +93,13 @@ class Assessment:
 
     def __init__(
         self,
-        wave: Wave,
+        wave: PeriodicMotion,
         exact_orbit: PeriodicOrbit | None = None,
         source_orbit: PeriodicOrbit | None = None,
         *,
-        more_modes: MoreModes | None = None,
+        more_modes: MoreModesComparison | None = None,
         flow: ContactFlow | None = None,
-        n_harmonic_doublings: int = MAX_HARMONIC_DOUBLINGS,
+        n_harmonic_doublings: int = MAX_HARMONIC_DOUBLINGS_FOR_ORBIT,
     ) -> None:
         self.wave, self.exact_orbit, self._source_orbit = wave, exact_orbit, source_orbit
         self._more_modes, self._flow, self._n_harmonic_doublings = (
@@ -108,19 +109,19 @@ class Assessment:
         )
         self._failure_reasons: list[str] = []
 
-    def holds_for(self, wave: Wave) -> bool:
+    def holds_for(self, wave: PeriodicMotion) -> bool:
         """Return True if this assessment was made for the motion ``wave``.
 
         Arrays, structure and law of both motions must be the same objects, and numbers equal.
         """
         attribute_pairs = [
             (getattr(self.wave, wave_field.name), getattr(wave, wave_field.name))
-            for wave_field in fields(Wave)
+            for wave_field in fields(PeriodicMotion)
         ]
         return all(
-            own_attribute is other_attribute
-            or (isinstance(own_attribute, int | float) and own_attribute == other_attribute)
-            for own_attribute, other_attribute in attribute_pairs
+            own_attribute is other_wave_attribute
+            or (isinstance(own_attribute, int | float) and own_attribute == other_wave_attribute)
+            for own_attribute, other_wave_attribute in attribute_pairs
         )
 
     @cached_property
@@ -169,11 +170,11 @@ class Assessment:
         )
         if flow.friction_law:
             time = wave.period / len(period_states) * np.arange(len(period_states))
-            period_states[:, 2 * flow.n_modes :] = wave.sticking_places(time)
+            period_states[:, 2 * flow.n_modes :] = wave.slider_positions(time)
         return period_states
 
     @cached_property
-    def orbit_prediction(self) -> Prediction | None:
+    def orbit_prediction_by_newton_step(self) -> OrbitPrediction | None:
         """Solution after one Newton step towards an exact orbit, for all instants together.
 
         None: the exact motion cannot be integrated, or no exact flow is known.
@@ -182,7 +183,9 @@ class Assessment:
         return (
             None
             if flow is None
-            else predict_orbit(flow, wave.omega, self.states_at_period_parts, wave.subharmonic)
+            else predict_orbit_by_newton_step(
+                flow, wave.omega, self.states_at_period_parts, wave.subharmonic
+            )
         )
 
     @property
@@ -191,7 +194,11 @@ class Assessment:
 
         inf: unknown, as the exact motion cannot be integrated, or no exact flow is known.
         """
-        return np.inf if self.orbit_prediction is None else self.orbit_prediction.relative_gap_error
+        return (
+            np.inf
+            if self.orbit_prediction_by_newton_step is None
+            else self.orbit_prediction_by_newton_step.relative_gap_error
+        )
 
     @property
     def nearest_orbit(self) -> PeriodicOrbit | None:
@@ -222,10 +229,10 @@ class Assessment:
         finer_assessment = self._assessment_with_twice_harmonics()
         if not (finer_assessment and finer_assessment.is_accepted):
             return None, False
-        finer_orbit = finer_assessment.nearest_orbit
-        assert finer_orbit is not None
-        distance = relative_gap_distance(self.wave, finer_orbit)
-        return finer_orbit, distance <= self._max_orbit_distance
+        orbit_from_twice_the_harmonics = finer_assessment.nearest_orbit
+        assert orbit_from_twice_the_harmonics is not None
+        distance = relative_gap_distance(self.wave, orbit_from_twice_the_harmonics)
+        return orbit_from_twice_the_harmonics, distance <= self._allowed_orbit_distance
 
     @cached_property
     def close_orbit(self) -> PeriodicOrbit | None:
@@ -236,7 +243,7 @@ class Assessment:
         orbit = self._orbit_from_solution
         if self.exact_orbit is not None or orbit is None:
             return self.exact_orbit
-        allowed_distance = self._max_orbit_distance
+        allowed_distance = self._allowed_orbit_distance
         if self._source_orbit is None:  # predictions are within a factor of 3 of the distance
             allowed_distance = min(
                 allowed_distance, max(3.0 * self.predicted_error, COARSE_TOLERANCE)
@@ -249,11 +256,11 @@ class Assessment:
         return self._source_orbit or self._search_nearest_orbit()
 
     @property
-    def _max_orbit_distance(self) -> float:
+    def _allowed_orbit_distance(self) -> float:
         """Largest relative distance between the gaps of the solution and an accepted orbit."""
         return (
             MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES
-            if self.wave.structure.light_lips
+            if self.wave.structure.has_massless_crack_faces
             else MAX_ORBIT_DISTANCE
         )
 
@@ -262,14 +269,14 @@ class Assessment:
 
         None: the load is too slow, the motion cannot be integrated, or Newton's method fails.
         """
-        if self.orbit_prediction is None or self.is_load_too_slow:
+        if self.orbit_prediction_by_newton_step is None or self.is_load_too_slow:
             return None
         assert self.flow is not None
         start_states = [self.states_at_period_parts[0]]
         if self.predicted_error <= MAX_ORBIT_DISTANCE:
-            start_states.insert(0, self.orbit_prediction.states[0])
+            start_states.insert(0, self.orbit_prediction_by_newton_step.states[0])
         n_load_periods = self.wave.subharmonic
-        i_minus_m_solver = self.orbit_prediction.solve_i_minus_m
+        i_minus_m_solver = self.orbit_prediction_by_newton_step.solve_i_minus_m
         search_from_state = partial(
             find_orbit, self.flow, self.wave.omega, failure_reasons=self._failure_reasons
         )
@@ -289,7 +296,7 @@ class Assessment:
         if (
             flow is None
             or n_doublings_left < 0
-            or not (flow.structure.light_lips and self.can_search_orbit)
+            or not (flow.structure.has_massless_crack_faces and self.can_search_orbit)
         ):
             return None
         finer_wave = wave_with_twice_the_harmonics(self.wave)
@@ -308,7 +315,7 @@ class Assessment:
         """
         if (
             self.nearest_orbit is not None
-            or self.orbit_prediction is None
+            or self.orbit_prediction_by_newton_step is None
             or not self.can_search_orbit
         ):
             return None
@@ -345,38 +352,38 @@ class Assessment:
             displacement_change = orbit_samples.displacement - wave.displacement_of_local_dofs(
                 orbit_samples.time
             )
-            gap_and_displacement_errors = (
+            harmonic_truncation_errors = (
                 self.relative_orbit_distance,
                 _relative_change_at_load(wave, displacement_change, orbit_samples.displacement),
             )
-        elif (prediction := self.orbit_prediction) is None:
-            gap_and_displacement_errors = ERROR_IF_UNKNOWN, ERROR_IF_UNKNOWN
+        elif (prediction := self.orbit_prediction_by_newton_step) is None:
+            harmonic_truncation_errors = ERROR_IF_UNKNOWN, ERROR_IF_UNKNOWN
         else:
             assert self.flow is not None
             displacement_change = (prediction.states - self.states_at_period_parts)[
                 :, : self.flow.n_modes
             ] @ self.flow.modal_model.shapes.T
             time = np.arange(len(displacement_change)) * wave.period / len(displacement_change)
-            gap_and_displacement_errors = (
+            harmonic_truncation_errors = (
                 prediction.relative_gap_error,
                 _relative_change_at_load(
                     wave, displacement_change, wave.displacement_of_local_dofs(time)
                 ),
             )
-            gap_and_displacement_errors = (
+            harmonic_truncation_errors = (
                 (
-                    stated_error(gap_and_displacement_errors[0]),
-                    stated_error(gap_and_displacement_errors[1]),
+                    stated_error(harmonic_truncation_errors[0]),
+                    stated_error(harmonic_truncation_errors[1]),
                 )
                 if search
-                else gap_and_displacement_errors
+                else harmonic_truncation_errors
             )
-        return min(gap_and_displacement_errors[0], ERROR_IF_UNKNOWN), min(
-            gap_and_displacement_errors[1], ERROR_IF_UNKNOWN
+        return min(harmonic_truncation_errors[0], ERROR_IF_UNKNOWN), min(
+            harmonic_truncation_errors[1], ERROR_IF_UNKNOWN
         )
 
     @cached_property
-    def more_modes(self) -> MoreModes | None:
+    def more_modes(self) -> MoreModesComparison | None:
         """Motion next to the nearest orbit if the structure has more modes.
 
         None: no orbit is found, no flow with more modes is known, or the search would take long.
@@ -394,7 +401,7 @@ class Assessment:
         )
         if flow is None or not is_searchable or self.nearest_orbit is None:
             return None
-        return MoreModes(flow, wave, self.nearest_orbit)
+        return MoreModesComparison(flow, wave, self.nearest_orbit)
 
     @property
     def rejection_reason(self) -> str:
@@ -403,35 +410,41 @@ class Assessment:
             return ""
         if self.is_load_too_slow:
             assert self.flow is not None
-            n_cycles = self.flow.rate_bound * self.wave.period / (2.0 * np.pi)
-            cycles_text = f"{n_cycles / 1e3:.0f} thousand cycles in a period"
-            cause_text = f"the load is so slow that the highest modes have {cycles_text}"
+            n_mode_cycles_per_period = self.flow.mode_rate_bound * self.wave.period / (2.0 * np.pi)
+            text_of_mode_cycles_per_period = (
+                f"{n_mode_cycles_per_period / 1e3:.0f} thousand cycles in a period"
+            )
+            cause_text = (
+                f"the load is so slow that the highest modes have {text_of_mode_cycles_per_period}"
+            )
             return f"{cause_text}, too many for exact time integration; keep fewer modes"
         if self.flow is None:
             return (
                 "no exact orbit can be computed: use the contact law 'penalty' or 'unilateral', "
                 "and a reduction with method = 'massless'"
             )
-        if self.orbit_prediction is None:
+        if self.orbit_prediction_by_newton_step is None:
             return (
                 "the crack opens and closes too often for an exact orbit; "
                 "use crack faces without mass, method = 'massless'"
             )
-        predicted_gap_error = self.predicted_error
+        gap_error_by_truncated_harmonics = self.predicted_error
         error_text = (
-            format_percent(predicted_gap_error)
-            if predicted_gap_error < ERROR_IF_UNKNOWN
+            format_percent(gap_error_by_truncated_harmonics)
+            if gap_error_by_truncated_harmonics < ERROR_IF_UNKNOWN
             else "100 % or more"
         )
         if self.nearest_orbit is None:
-            change_text = f"the truncated harmonics change the solution by {error_text}"
+            text_of_truncated_harmonics_error = (
+                f"the truncated harmonics change the solution by {error_text}"
+            )
             last_failure_reasons = self._failure_reasons[-1:] or [
                 "no exact orbit was found near the solution; use more harmonics"
             ]
-            return f"{change_text}, and {last_failure_reasons[0]}"
-        stability_text = "stable" if self.nearest_orbit.is_stable else "unstable"
+            return f"{text_of_truncated_harmonics_error}, and {last_failure_reasons[0]}"
+        stable_or_unstable_word = "stable" if self.nearest_orbit.is_stable else "unstable"
         orbit_text = (
-            f"the nearest exact orbit, which is {stability_text}, "
+            f"the nearest exact orbit, which is {stable_or_unstable_word}, "
             f"differs from the solution by {format_percent(self.relative_orbit_distance)}"
         )
         return f"{orbit_text} and may be another motion; use more harmonics"
@@ -445,7 +458,7 @@ def stated_error(predicted_error: float) -> float:
     return 3.0 * predicted_error / (1.0 + 2.0 * min(predicted_error, 1.0))
 
 
-def wave_with_twice_the_harmonics(wave: Wave) -> Wave | None:
+def wave_with_twice_the_harmonics(wave: PeriodicMotion) -> PeriodicMotion | None:
     """Return the solution with twice the harmonics, or None without convergence.
 
     Newton's method starts from the gaps of the given motion.
@@ -457,25 +470,26 @@ def wave_with_twice_the_harmonics(wave: Wave) -> Wave | None:
     )  # fmt: skip
     system = problem.system(problem.compliance_model())
     search = Search(system, problem, COARSE_TOLERANCE, 1.0)
-    point = search.solve(resize_harmonics(wave.slow_gap_coefficients, problem.harmonics))
+    point = search.solve(resize_harmonics(wave.gap_series_without_static_part, problem.harmonics))
     return problem.wave(system.linearise(point.unknown)) if search.has_converged else None
 
 
-def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:
+def _relative_change_at_load(wave: PeriodicMotion, change: np.ndarray, motion: np.ndarray) -> float:
     """Return a change of the displacement along the load, divided by the motion (collective).
 
     ``change`` and ``motion`` are displacements (n, n_local) [m] at n instants. Both are projected
-    on the load (:func:`motion_along_load`). The result is the ratio of both root sums of squares.
+    on the load (:func:`project_motion_on_load`). The result is the ratio of both root sums of
+    squares.
     """
     return change_relative_to_motion(
         *(
-            motion_along_load(wave.structure, displacement_samples)
-            for displacement_samples in (change, motion)
+            project_motion_on_load(wave.structure, change_or_motion_samples)
+            for change_or_motion_samples in (change, motion)
         )
     )
 
 
-def relative_gap_distance(wave: Wave, orbit: PeriodicOrbit) -> float:
+def relative_gap_distance(wave: PeriodicMotion, orbit: PeriodicOrbit) -> float:
     """Return the relative distance between the gaps of a solution and an orbit.
 
     Root mean square over the period and the pairs, divided by that of the orbit's gaps plus

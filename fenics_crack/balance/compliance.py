@@ -43,9 +43,13 @@ from fenics_crack.basics.errors import ConvergenceError, InputError, check_numbe
 from fenics_crack.basics.ranks import collect_garbage
 from fenics_crack.kernel import require_shape
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.factor import Factor, matrix_plus_weighted_matrix
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.modes import damped_modes, project_damping_on_columns, solve_modes
+from fenics_crack.model.modes import (
+    modes_with_modal_damping,
+    project_damping_on_columns,
+    solve_modes,
+)
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import COARSE_TOLERANCE, MACHINE_EPSILON, residual_rounding
 from fenics_crack.numerics.fourier import from_complex, resize_harmonics, stretch_period, to_complex
@@ -58,7 +62,7 @@ nearly singular.
 """
 
 
-class DynamicStiffness:
+class FactorisedDynamicStiffness:
     """Factorised dynamic stiffness Z = K - omega^2 M + i omega C.
 
     M, C and K are mass, damping and stiffness. Free the factors with :meth:`destroy`, or use the
@@ -88,12 +92,12 @@ class DynamicStiffness:
             None,
         )
         if omega > 0.0:
-            self._undamped_dynamic_stiffness = weighted_sum(
+            self._undamped_dynamic_stiffness = matrix_plus_weighted_matrix(
                 structure.stiffness, -(omega**2), structure.mass
             )
             self._damping_matrix, self._damped_modes = (
                 structure.damping_matrix,
-                damped_modes(structure),
+                modes_with_modal_damping(structure),
             )
         system_matrix, border_columns = self._undamped_dynamic_stiffness, None
         if self._damping_matrix is not None:
@@ -108,8 +112,8 @@ class DynamicStiffness:
             system_matrix = system_matrix.convert("aij", PETSc.Mat())
         elif self._damped_modes is not None:
             natural_omegas_squared = self._damped_modes.omega**2
-            modal_stiffness = natural_omegas_squared - omega**2
-            is_near = np.abs(modal_stiffness) < DEFLATION_BAND * natural_omegas_squared
+            modal_dynamic_stiffness = natural_omegas_squared - omega**2
+            is_near = np.abs(modal_dynamic_stiffness) < DEFLATION_BAND * natural_omegas_squared
             if np.any(
                 self._damped_modes.omega[is_near & (self._damped_modes.damping_rates == 0.0)]
                 == omega
@@ -119,12 +123,15 @@ class DynamicStiffness:
                     omega,
                     "another frequency than that of an undamped mode; or add damping",
                 )
-            factored_modal_receptance = np.divide(
-                1.0, modal_stiffness, out=np.zeros_like(modal_stiffness), where=~is_near
+            undamped_modal_receptance = np.divide(
+                1.0,
+                modal_dynamic_stiffness,
+                out=np.zeros_like(modal_dynamic_stiffness),
+                where=~is_near,
             )
-            self._receptance_correction = (
-                1.0 / (modal_stiffness + 1j * omega * self._damped_modes.damping_rates)
-                - factored_modal_receptance
+            self._damped_minus_factored_receptance = (
+                1.0 / (modal_dynamic_stiffness + 1j * omega * self._damped_modes.damping_rates)
+                - undamped_modal_receptance
             )
             if is_near.any():
                 border_columns = sparse.csr_matrix(self._damped_modes.mass_shapes[:, is_near])
@@ -168,7 +175,7 @@ class DynamicStiffness:
         modal_forces = self.structure.sum_over_ranks(dof_forces @ self._damped_modes.shapes)
         return (
             displacement_rows
-            + (modal_forces * self._receptance_correction) @ self._damped_modes.shapes.T
+            + (modal_forces * self._damped_minus_factored_receptance) @ self._damped_modes.shapes.T
         )
 
     def pair_compliance_matrix(self) -> np.ndarray:
@@ -185,7 +192,7 @@ class DynamicStiffness:
         if self._undamped_dynamic_stiffness is not self.structure.stiffness:
             self._undamped_dynamic_stiffness.destroy()
 
-    def __enter__(self) -> DynamicStiffness:
+    def __enter__(self) -> FactorisedDynamicStiffness:
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -257,18 +264,18 @@ class ModalCompliance:
             else None
         )
         self._harmonic_orders = np.arange(len(load_rows) // 2 + 1.0)
-        self._modal_load_at_unit_factor = to_complex(load_rows @ self._all_modes.shapes)
+        self._given_modal_load = to_complex(load_rows @ self._all_modes.shapes)
         self.gap_shape: tuple[int, ...] = len(load_rows), structure.n_pairs
-        self._massless_displacement_at_unit_factor, self._massless_gap_at_unit_factor = (
+        self._massless_displacement_by_given_load, self._massless_gap_by_given_load = (
             None,
             np.zeros(self.gap_shape),
         )
         if self._all_modes.massless_flexibility is not None:
-            self._massless_displacement_at_unit_factor = (
+            self._massless_displacement_by_given_load = (
                 load_rows @ self._all_modes.massless_flexibility
             )
-            self._massless_gap_at_unit_factor = structure.apply_bt(
-                self._massless_displacement_at_unit_factor
+            self._massless_gap_by_given_load = structure.apply_bt(
+                self._massless_displacement_by_given_load
             )
         self._set_parameters(base_omega, 1.0, 1.0, 0.0)
 
@@ -287,13 +294,13 @@ class ModalCompliance:
             Clearance added to every pair.
         """
         self._base_omega, self._damping_factor = base_omega, damping_factor
-        is_mode_loaded = self._modal_load_at_unit_factor != 0.0
+        is_mode_loaded = self._given_modal_load != 0.0
         self._receptance = self._all_modes.modal_receptances(
             base_omega * self._harmonic_orders, damping_factor, is_mode_loaded
         )
-        self._modal_load = load_factor * self._modal_load_at_unit_factor
+        self._modal_load = load_factor * self._given_modal_load
         self._load_factor = load_factor
-        self.gap_without_modes = load_factor * self._massless_gap_at_unit_factor
+        self.gap_without_modes = load_factor * self._massless_gap_by_given_load
         self.gap_without_modes[0] -= self._pair_clearances + added_clearance
 
     @cached_property
@@ -317,12 +324,12 @@ class ModalCompliance:
         """
         varied_model = object.__new__(type(self))  # faster than copy
         vars(varied_model).update(vars(self))
-        for cached_attribute_name in ("matrices", "linear_gap"):
-            vars(varied_model).pop(cached_attribute_name, None)
+        for outdated_attribute_name in ("matrices", "linear_gap"):
+            vars(varied_model).pop(outdated_attribute_name, None)
         varied_model._set_parameters(base_omega, load, damping, clearance)
         return varied_model
 
-    def compliance_matrices_of_higher_harmonics(self, max_harmonic: int) -> np.ndarray:
+    def compliance_of_truncated_harmonics(self, max_harmonic: int) -> np.ndarray:
         """Return the compliance at harmonics above H: (n, n_pairs, n_pairs) complex [m/N].
 
         The n harmonics are H+1 to ``max_harmonic``.
@@ -359,7 +366,7 @@ class ModalCompliance:
         )
         return (
             displacement_of_modes
-            if self._massless_displacement_at_unit_factor is None
+            if self._massless_displacement_by_given_load is None
             else displacement_of_modes + self._massless_displacement(contact_force)
         )
 
@@ -382,7 +389,7 @@ class ModalCompliance:
         """
         modes = self._all_modes
         omega_by_harmonic_and_base = np.multiply.outer(self._harmonic_orders, base_omegas)
-        is_mode_loaded = np.repeat(self._modal_load_at_unit_factor != 0.0, len(base_omegas), axis=0)
+        is_mode_loaded = np.repeat(self._given_modal_load != 0.0, len(base_omegas), axis=0)
         modal_receptance = modes.modal_receptances(
             omega_by_harmonic_and_base.ravel(), self._damping_factor, is_mode_loaded
         )
@@ -394,13 +401,13 @@ class ModalCompliance:
             modal_force,
         )
         displacement_of_modes = from_complex(modal_displacement @ modes.shapes.T)
-        if self._massless_displacement_at_unit_factor is None:
+        if self._massless_displacement_by_given_load is None:
             return displacement_of_modes
-        assert modes.massless_pair_responses is not None
+        assert modes.massless_displacement_by_pair_forces is not None
         return (
             displacement_of_modes
-            + self._load_factor * self._massless_displacement_at_unit_factor[:, None]
-            - contact_force @ modes.massless_pair_responses.T
+            + self._load_factor * self._massless_displacement_by_given_load[:, None]
+            - contact_force @ modes.massless_displacement_by_pair_forces.T
         )
 
     def selected_displacement(
@@ -417,7 +424,7 @@ class ModalCompliance:
         )
         return (
             displacement_of_modes
-            if self._massless_displacement_at_unit_factor is None
+            if self._massless_displacement_by_given_load is None
             else displacement_of_modes
             + self._massless_displacement(contact_force) @ selection_rows.T
         )
@@ -429,12 +436,12 @@ class ModalCompliance:
         n_pairs) [N].
         """
         assert (
-            self._all_modes.massless_pair_responses is not None
-            and self._massless_displacement_at_unit_factor is not None
+            self._all_modes.massless_displacement_by_pair_forces is not None
+            and self._massless_displacement_by_given_load is not None
         )
         return (
-            self._load_factor * self._massless_displacement_at_unit_factor
-            - contact_force @ self._all_modes.massless_pair_responses.T
+            self._load_factor * self._massless_displacement_by_given_load
+            - contact_force @ self._all_modes.massless_displacement_by_pair_forces.T
         )
 
     def modal_fields_for_kernel(
@@ -493,7 +500,7 @@ class ModalCompliance:
             "modal_damping": require_shape(modes.damping, n_modes),
             "shapes": require_shape(modes.gaps_by_mode, n_modes, self.gap_shape[1]),
             "load": require_shape(
-                self._load_factor * self._modal_load_at_unit_factor,
+                self._load_factor * self._given_modal_load,
                 len(self._harmonic_orders),
                 n_modes,
                 kind=complex,
@@ -531,10 +538,7 @@ class ModalCompliance:
             clearance_derivative[0] = 1.0
             return clearance_derivative
         if parameter_name == "load":
-            return (
-                -self._gap_response(self._modal_load_at_unit_factor)
-                - self._massless_gap_at_unit_factor
-            )
+            return -self._gap_response(self._given_modal_load) - self._massless_gap_by_given_load
         if parameter_name == "damping":
             damping_force_per_omega = 1j * self._all_modes.damping_force(
                 self._negative_modal_displacement(contact_force)
@@ -626,7 +630,7 @@ class FactoredCompliance:
         self.structure, self.load = structure, load_rows
         self._base_omega, harmonic_orders = base_omega, range(len(load_rows) // 2 + 1)
         self._stiffness_by_harmonic = [
-            DynamicStiffness(structure, k * base_omega) for k in harmonic_orders
+            FactorisedDynamicStiffness(structure, k * base_omega) for k in harmonic_orders
         ]
         compliance_matrices = np.array(
             [
@@ -645,7 +649,7 @@ class FactoredCompliance:
                 "dynamic compliance: the structure is singular to rounding; add damping"
             )
 
-    def compliance_matrices_of_higher_harmonics(self, max_harmonic: int) -> np.ndarray:
+    def compliance_of_truncated_harmonics(self, max_harmonic: int) -> np.ndarray:
         """Return the compliance at harmonics above H: (n, n_pairs, n_pairs) complex [m/N].
 
         The n harmonics are H+1 to ``max_harmonic``. The lowest modes, at least 20, respond
@@ -654,17 +658,17 @@ class FactoredCompliance:
         natural_omegas, modal_damping_rates, gap_shapes = self.structure.compute_once(
             _omegas_damping_rates_and_gap_shapes
         )
-        modal_damping_rates = self.structure.damping_factor * modal_damping_rates
+        modal_damping_rates = self.structure.damping_multiplier * modal_damping_rates
         static_compliance_of_other_modes = (
             self.matrices[0].real - (gap_shapes.T / natural_omegas**2) @ gap_shapes
         )
-        higher_harmonic_omegas = (
+        truncated_harmonic_omegas = (
             self._base_omega * np.arange(len(self.matrices), max_harmonic + 1)[:, None]
         )
         modal_receptance = 1.0 / (
             natural_omegas**2
-            - higher_harmonic_omegas**2
-            + 1j * higher_harmonic_omegas * modal_damping_rates
+            - truncated_harmonic_omegas**2
+            + 1j * truncated_harmonic_omegas * modal_damping_rates
         )
         return static_compliance_of_other_modes + np.matmul(
             gap_shapes.T * modal_receptance[:, None, :], gap_shapes
@@ -685,8 +689,10 @@ class FactoredCompliance:
         ``dof_force_rows`` (2H+1, n_local) [N] and the result have Fourier coefficients as rows.
         """
         complex_displacements = [
-            dynamic_stiffness.solve(complex_force.real[None] if k == 0 else complex_force[None])[0]
-            for k, (dynamic_stiffness, complex_force) in enumerate(
+            dynamic_stiffness.solve(
+                complex_dof_forces.real[None] if k == 0 else complex_dof_forces[None]
+            )[0]
+            for k, (dynamic_stiffness, complex_dof_forces) in enumerate(
                 zip(self._stiffness_by_harmonic, to_complex(dof_force_rows), strict=True)
             )
         ]
@@ -714,7 +720,7 @@ def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) 
     resized_matrices = compliance_model.matrices[: harmonics + 1]
     if len(resized_matrices) <= harmonics:
         resized_matrices = np.concatenate(
-            [resized_matrices, compliance_model.compliance_matrices_of_higher_harmonics(harmonics)]
+            [resized_matrices, compliance_model.compliance_of_truncated_harmonics(harmonics)]
         )
     new_model.matrices = resized_matrices
     new_model.linear_gap = resize_harmonics(compliance_model.linear_gap, harmonics)
@@ -744,7 +750,7 @@ def _omegas_damping_rates_and_gap_shapes(
     shapes : (n, n_pairs)
         Gaps of the mass-normalised modes.
     """
-    modes_of_damping, n_modes = damped_modes(structure), min(20, structure.n_dofs)
+    modes_of_damping, n_modes = modes_with_modal_damping(structure), min(20, structure.n_dofs)
     available_modes = (
         modes_of_damping
         if modes_of_damping and len(modes_of_damping.omega) >= n_modes

@@ -96,7 +96,7 @@ class ContactForces(ABC):
         """
 
     @abstractmethod
-    def softness_derivative(self) -> np.ndarray:
+    def series_softness_derivative(self) -> np.ndarray:
         """Return the forces' derivative by the softness: (2H+1, n_pairs) [N].
 
         The softness is a compliance in series with every pair, divided by the mean pair compliance.
@@ -123,14 +123,14 @@ class ContactIntegrals(ABC):
     residual_compliance : (n_pairs, n_pairs) [m/N] or None
         Residual flexibility R_inf in series with contact. The slow gap is s = g + R_inf lambda,
         with gap g and contact force lambda; None: s = g.
-    relative_softness : float
+    relative_series_softness : float
         Further compliance in series with every pair, in units of ``mean_pair_compliance``.
     """
 
     law: ContactLaw
     harmonics: int
     residual_compliance: np.ndarray | None = field(default=None, kw_only=True)
-    relative_softness: float = field(default=0.0, kw_only=True)
+    relative_series_softness: float = field(default=0.0, kw_only=True)
 
     has_coupled_pairs: ClassVar[bool] = False
     """True if the force on a pair depends on all pairs' gaps."""
@@ -149,7 +149,7 @@ class ContactIntegrals(ABC):
         return np.asarray(1.0 / np.asarray(self.law.stiffness, dtype=float))
 
     @cached_property
-    def compliance_diagonal(self) -> np.ndarray:
+    def series_compliance_per_pair(self) -> np.ndarray:
         """Compliance in series with each pair: (n_pairs,), or one number [m/N].
 
         Diagonal of residual flexibility plus contact springs' compliance.
@@ -162,8 +162,8 @@ class ContactIntegrals(ABC):
 
     @cached_property
     def mean_pair_compliance(self) -> float:
-        """Mean of ``compliance_diagonal`` over the pairs [m/N], the unit of the softness."""
-        return float(np.mean(self.compliance_diagonal))
+        """Mean of ``series_compliance_per_pair`` over the pairs [m/N], the unit of the softness."""
+        return float(np.mean(self.series_compliance_per_pair))
 
     @abstractmethod
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
@@ -198,12 +198,12 @@ class ContactIntegrals(ABC):
         """
         return None
 
-    def with_softness(self, relative_softness: float) -> Self:
-        """Return integrals with another ``relative_softness`` in series with every pair."""
+    def with_series_softness(self, relative_series_softness: float) -> Self:
+        """Return integrals with another ``relative_series_softness`` in series with every pair."""
         return (
             self
-            if relative_softness == self.relative_softness
-            else replace(self, relative_softness=relative_softness)
+            if relative_series_softness == self.relative_series_softness
+            else replace(self, relative_series_softness=relative_series_softness)
         )
 
 
@@ -251,12 +251,13 @@ class SampledIntegrals(ContactIntegrals):
 
     def linearise(self, gap_coefficients: np.ndarray) -> PairForces:
         gap_samples, softened_law = sample_period(gap_coefficients, self.samples), self.law
-        if self.relative_softness:
-            softened_law = softened_law.scaled(1.0 / (1.0 + self.relative_softness))
+        if self.relative_series_softness:
+            softened_law = softened_law.scaled(1.0 / (1.0 + self.relative_series_softness))
         # Means of exp(i m theta), m < 2 H + 1; with few instants high orders alias to low ones.
-        fft_indices = np.arange(2 * self.harmonics + 1) % self.samples
+        fft_indices_of_slope_harmonics = np.arange(2 * self.harmonics + 1) % self.samples
         slope_mean_harmonics = (
-            np.fft.fft(softened_law.tangent(gap_samples), axis=0)[fft_indices] / self.samples
+            np.fft.fft(softened_law.tangent(gap_samples), axis=0)[fft_indices_of_slope_harmonics]
+            / self.samples
         )
         pair_tangents = [
             tangent_from_means(pair_slope_means[:, None, None])[:, 0]
@@ -266,7 +267,7 @@ class SampledIntegrals(ContactIntegrals):
         return PairForces(
             force_coefficients,
             np.array(pair_tangents),
-            -force_coefficients / (1.0 + self.relative_softness),
+            -force_coefficients / (1.0 + self.relative_series_softness),
         )
 
     def exact_or_finer_integrals(self) -> ContactIntegrals:
@@ -301,23 +302,27 @@ class ExactIntegrals(ContactIntegrals):
         return True
 
     @property
-    def closed_stiffness(self) -> np.ndarray:
+    def stiffness_of_closed_pair(self) -> np.ndarray:
         """Slope of a closed pair's force by its slow gap: (n_pairs,), or one number [N/m].
 
         The slow gap is the gap plus residual flexibility times contact force. The slope is 1 over
         the compliance in series with the pair, softness included.
         """
         return np.asarray(
-            1.0 / (self.compliance_diagonal + self.relative_softness * self.mean_pair_compliance)
+            1.0
+            / (
+                self.series_compliance_per_pair
+                + self.relative_series_softness * self.mean_pair_compliance
+            )
         )
 
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
-        return np.asarray(self.closed_stiffness * np.maximum(gap_samples, 0.0))
+        return np.asarray(self.stiffness_of_closed_pair * np.maximum(gap_samples, 0.0))
 
     def linearise(self, gap_coefficients: np.ndarray) -> PairForces:
         n_rows, n_pairs = gap_coefficients.shape
         gap_coefficients = require_shape(gap_coefficients, 2 * self.harmonics + 1, n_pairs)
-        pair_stiffnesses = np.full(n_pairs, self.closed_stiffness)
+        pair_stiffnesses = np.full(n_pairs, self.stiffness_of_closed_pair)
         force_coefficients = np.empty((n_rows, n_pairs))
         tangent_by_pair = np.empty((n_pairs, n_rows, n_rows))
         is_out_of_memory = kernel.contact_integrals(
@@ -349,9 +354,13 @@ class PairForces(ContactForces):
     """
 
     def __init__(
-        self, force: np.ndarray, tangent: np.ndarray, softness_derivative: np.ndarray
+        self, force: np.ndarray, tangent: np.ndarray, series_softness_derivative: np.ndarray
     ) -> None:
-        self.force, self.tangent, self._softness_derivative = force, tangent, softness_derivative
+        self.force, self.tangent, self._series_softness_derivative = (
+            force,
+            tangent,
+            series_softness_derivative,
+        )
 
     def force_change(self, gap_change: np.ndarray) -> np.ndarray:
         return np.matmul(self.tangent, gap_change.T[:, :, None])[:, :, 0].T
@@ -372,8 +381,8 @@ class PairForces(ContactForces):
         """
         return self.force
 
-    def softness_derivative(self) -> np.ndarray:
-        return self._softness_derivative
+    def series_softness_derivative(self) -> np.ndarray:
+        return self._series_softness_derivative
 
 
 def multiply_compliance_and_force(
@@ -498,21 +507,21 @@ class CoupledIntegrals(ContactIntegrals):
         """Solver for contact forces by sets of closed pairs.
 
         The solver's compliance is the sum of residual flexibility, contact springs' compliance and
-        ``relative_softness`` times the mean pair compliance. A smooth law has no contact springs:
-        their compliance is left out.
+        ``relative_series_softness`` times the mean pair compliance. A smooth law has no contact
+        springs: their compliance is left out.
         """
         if self.shared_active_set_solver is not None:
             return self.shared_active_set_solver
         assert self.residual_compliance is not None
-        series_compliance = self.relative_softness * self.mean_pair_compliance + (
-            self.spring_compliance if self.is_piecewise else 0.0
+        series_compliance = self.relative_series_softness * self.mean_pair_compliance + (
+            self.spring_compliance if self.has_piecewise_linear_law else 0.0
         )
         return ActiveSetSolver(
             self.residual_compliance + series_compliance * np.eye(len(self.residual_compliance))
         )
 
     @property
-    def is_piecewise(self) -> bool:
+    def has_piecewise_linear_law(self) -> bool:
         """True if the contact forces are piecewise linear in the slow gap.
 
         The law is then a penalty law or a constraint. The slow gap is the gap plus residual
@@ -523,7 +532,7 @@ class CoupledIntegrals(ContactIntegrals):
     @property
     def is_exact(self) -> bool:
         """True if the integrals are exact: a piecewise linear law, and no samples requested."""
-        return self.is_piecewise and self.samples is None
+        return self.has_piecewise_linear_law and self.samples is None
 
     def with_harmonics(self, harmonics: int) -> Self:
         n_samples = self.samples and max(self.samples, default_instants_per_period(harmonics))
@@ -538,10 +547,10 @@ class CoupledIntegrals(ContactIntegrals):
         if self.is_exact:
             return None
         n_samples = 4 * (self.samples or default_instants_per_period(self.harmonics))
-        return replace(self, samples=None if self.is_piecewise else n_samples)
+        return replace(self, samples=None if self.has_piecewise_linear_law else n_samples)
 
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
-        if self.is_piecewise:
+        if self.has_piecewise_linear_law:
             return self.active_set_solver.solve(gap_samples)[0]
         return forces_and_slopes_of_smooth_law(
             self.law, self.active_set_solver.compliance_matrix, gap_samples
@@ -595,7 +604,7 @@ class CoupledForces(ContactForces):
         return jacobian_matrix
 
 
-class _KernelForceEvaluator:
+class _KernelExactForceEvaluator:
     """C object that computes exact forces for given numbers of harmonics and pairs.
 
     Several :class:`_ExactForces` share the C object. ``evaluated_forces`` is the one for which the
@@ -608,7 +617,7 @@ class _KernelForceEvaluator:
         self.evaluated_forces: CoupledForces | None = None
 
 
-_kernel_evaluator_for = lru_cache(maxsize=16)(_KernelForceEvaluator)
+_kernel_evaluator_for = lru_cache(maxsize=16)(_KernelExactForceEvaluator)
 """Return the shared C object for numbers of harmonics and pairs. The last 16 are kept."""
 
 
@@ -666,7 +675,7 @@ class _ExactForces(CoupledForces):
             raise MemoryError("contact forces")
         return tangent_from_means(stiffness_means)
 
-    def _diagonal_compliance_derivative(self, compliance_rates: np.ndarray) -> np.ndarray:
+    def _force_derivative_by_compliances(self, compliance_rates: np.ndarray) -> np.ndarray:
         """Return the forces' derivative by a parameter p of the compliances: (2H+1, n_pairs).
 
         Each pair has compliances in series: residual flexibility, contact spring, and an added
@@ -680,13 +689,13 @@ class _ExactForces(CoupledForces):
         )
         return force_derivative
 
-    def softness_derivative(self) -> np.ndarray:
-        return self._diagonal_compliance_derivative(
+    def series_softness_derivative(self) -> np.ndarray:
+        return self._force_derivative_by_compliances(
             np.full(self._gap_coefficients.shape[1], self._integrals.mean_pair_compliance)
         )
 
     def log_stiffness_derivative(self) -> np.ndarray:
-        return self._diagonal_compliance_derivative(
+        return self._force_derivative_by_compliances(
             np.broadcast_to(-self._integrals.spring_compliance, self._gap_coefficients.shape[1])
         )
 
@@ -708,7 +717,7 @@ class _SampledForces(CoupledForces):
         gap_samples = sample_period(
             gap_coefficients, integrals.samples or default_instants_per_period(integrals.harmonics)
         )
-        if integrals.is_piecewise:
+        if integrals.has_piecewise_linear_law:
             self._force_samples, is_closed = active_set_solver.solve(gap_samples)
             self._stiffness_matrix_samples = active_set_solver.invert_compliance_on_sets(is_closed)
         else:
@@ -754,13 +763,13 @@ class _SampledForces(CoupledForces):
             self.harmonics,
         )
 
-    def softness_derivative(self) -> np.ndarray:
+    def series_softness_derivative(self) -> np.ndarray:
         return self._force_coefficient_change(
             -self._integrals.mean_pair_compliance * self._force_samples
         )
 
     def log_stiffness_derivative(self) -> np.ndarray:
-        if self._integrals.is_piecewise:
+        if self._integrals.has_piecewise_linear_law:
             return self._force_coefficient_change(
                 self._force_samples * self._integrals.spring_compliance
             )

@@ -51,18 +51,18 @@ from fenics_crack.balance.friction_integrals import (
     integrals_with_coupled_pairs,
 )
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import hertz_property
 from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import (
     ContactLaw,
-    add_contact_rows,
+    add_pair_for_each_contact_force,
     count_rows_per_pair,
     friction_of,
     is_rigid,
     law_of_rows,
-    merge_rows_of_pairs,
-    split_rows_of_pairs,
+    merge_layers_of_pairs,
+    split_pairs_into_layers,
     spring_compliances,
 )
 from fenics_crack.model.modal import all_modes
@@ -71,7 +71,7 @@ from fenics_crack.numerics.equations import (
     DenseLinearisation,
     Equations,
     Linearisation,
-    solve_by_transpose_factors,
+    solve_by_factors_of_transpose,
 )
 from fenics_crack.numerics.fourier import (
     evaluate_series,
@@ -242,7 +242,9 @@ class ContactSystem:
             @ self.reachable_gap_basis
         )
 
-    def slow_gap(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
+    def gap_without_static_part(
+        self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1
+    ) -> np.ndarray:
         """Return the slow gap: gap plus residual flexibility times contact force.
 
         Parameters
@@ -259,8 +261,10 @@ class ContactSystem:
             Coefficients with the system's harmonics.
         """
         gap, force = (
-            resize_harmonics(stretch_period(gap_or_force, n_periods), self.integrals.harmonics)
-            for gap_or_force in (gap, force)
+            resize_harmonics(
+                stretch_period(gap_or_force_coefficients, n_periods), self.integrals.harmonics
+            )
+            for gap_or_force_coefficients in (gap, force)
         )
         return gap if self.residual_compliance is None else gap + force @ self.residual_compliance
 
@@ -291,12 +295,13 @@ class ContactSystem:
         return ContactPoint(
             self,
             unknown,
-            self.integrals.with_softness(
+            self.integrals.with_series_softness(
                 self._start_softness * abs(parameter_distance_to_law) ** 3
             ),
             lambda point: multiply_compliance_and_force(
                 self.dynamic_less_static_compliance,
-                softness_derivative_by_parameter * point.linearised_forces.softness_derivative(),
+                softness_derivative_by_parameter
+                * point.linearised_forces.series_softness_derivative(),
             ),
         )
 
@@ -314,19 +319,23 @@ class ContactSystem:
             self, unknown, self.integrals, residual_derivative_by_parameter_function
         )
 
-    def max_contact_stiffness(self, law: ContactLaw) -> float:
+    def max_series_contact_stiffness(self, law: ContactLaw) -> float:
         """Return the largest slope of contact forces over slow gaps, for a law [N/m].
 
         The slope is the inverse of the smallest eigenvalue of R_inf + I/k, with the residual
         flexibility R_inf and the contact stiffness k. The slow gap is gap + R_inf lambda, with the
         contact forces lambda.
         """
-        spring_compliance = self._gap_spring_compliances(law)
-        min_series_compliance = float(spring_compliance.min())
+        contact_spring_compliances = self._gap_spring_compliances(law)
+        min_series_compliance = float(contact_spring_compliances.min())
         if self.residual_compliance is not None:
             min_series_compliance = max(
                 min_series_compliance,
-                float(np.linalg.eigvalsh(self.residual_compliance + np.diag(spring_compliance))[0]),
+                float(
+                    np.linalg.eigvalsh(
+                        self.residual_compliance + np.diag(contact_spring_compliances)
+                    )[0]
+                ),
             )
         return 1.0 / max(min_series_compliance, 1e-300)
 
@@ -454,10 +463,10 @@ class ContactPoint(DenseLinearisation):
             )
             return (
                 right_side
-                - solve_by_transpose_factors(factors, response_in_basis)
+                - solve_by_factors_of_transpose(factors, response_in_basis)
                 @ system.reachable_gap_basis.T
             )
-        return solve_by_transpose_factors(factors, right_side)
+        return solve_by_factors_of_transpose(factors, right_side)
 
     @property
     def sign(self) -> float:
@@ -477,31 +486,34 @@ class ContactPoint(DenseLinearisation):
             slow_gap_change, self.linearised_forces.force_change(slow_gap_change)
         )
 
-    def gap_change_by_force(self, force_change: np.ndarray) -> np.ndarray:
+    def gap_change_by_force_error(self, force_change: np.ndarray) -> np.ndarray:
         """Return the gap's linearised change for a given error of the contact force.
 
         ``force_change`` (2H+1, n_rows) [N] is added to the force that the law gives. The linearised
         equations are solved again. So the result (2H+1, n_rows) [m] includes the change of the
         law's own force.
         """
-        unknown_change = self.solve(
+        unknown_response_to_force_change = self.solve(
             -multiply_compliance_and_force(self.system.dynamic_less_static_compliance, force_change)
         )
-        return self.system.gap(self.gap_change(unknown_change), force_change)
+        return self.system.gap(self.gap_change(unknown_response_to_force_change), force_change)
 
 
 # --- the motion -----------------------------------------------------------------------------------
 
 
-@with_old_names(
+@keep_old_attribute_names(
     at_phase="basis_gaps_and_forces_at_phases",
     coordinates="displacement_of_local_dofs",
     force_rows="row_force_coefficients",
     gap_rows="row_gap_coefficients",
     over_period="basis_gaps_and_forces_over_period",
+    slow_gap_coefficients="gap_series_without_static_part",
+    sticking_places="slider_positions",
+    structure_with_row_pairs="structure_with_pair_per_row",
 )
 @dataclass(frozen=True, repr=False)
-class Wave:
+class PeriodicMotion:
     """Periodic motion by Fourier coefficients of displacement, gaps and contact forces.
 
         u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t),    w = omega / subharmonic
@@ -565,12 +577,12 @@ class Wave:
         """
         if self.static_above is None:
             return None
-        return all_modes(self.structure_with_row_pairs).static_pair_compliance(self.static_above)
+        return all_modes(self.structure_with_pair_per_row).static_pair_compliance(self.static_above)
 
     @cached_property
-    def structure_with_row_pairs(self) -> Structure:
+    def structure_with_pair_per_row(self) -> Structure:
         """Structure with a pair for each contact row: with friction or layers two for each pair."""
-        return add_contact_rows(self.contact, self.structure)
+        return add_pair_for_each_contact_force(self.contact, self.structure)
 
     @property
     def row_gap_coefficients(self) -> np.ndarray:
@@ -591,28 +603,28 @@ class Wave:
         """
         assert self.contact is not None
         residual_compliance_or_none = self.residual_compliance
-        n_gaps = self.structure_with_row_pairs.n_pairs
+        n_contact_rows = self.structure_with_pair_per_row.n_pairs
         residual_compliance = (
-            np.zeros((n_gaps, n_gaps))
+            np.zeros((n_contact_rows, n_contact_rows))
             if residual_compliance_or_none is None
             else residual_compliance_or_none
         )
-        row_law = law_of_rows(self.contact, self.structure.n_pairs)
-        return integrals_with_coupled_pairs(row_law, self.harmonics, residual_compliance)
+        law_of_all_rows = law_of_rows(self.contact, self.structure.n_pairs)
+        return integrals_with_coupled_pairs(law_of_all_rows, self.harmonics, residual_compliance)
 
     @cached_property
-    def slow_gap_coefficients(self) -> np.ndarray:
+    def gap_series_without_static_part(self) -> np.ndarray:
         """Coefficients of the slow gaps: (2H+1, n_rows) [m].
 
         Slow gap: gap plus residual flexibility times contact force, that is, without the
         quasi-static response. Without a residual flexibility, it is the gap.
         """
-        row_gaps, row_forces = split_rows_of_pairs(
+        gap_coefficients_of_rows, force_coefficients_of_rows = split_pairs_into_layers(
             self.contact, self.row_gap_coefficients, self.row_force_coefficients
         )
         if self.residual_compliance is None:
-            return row_gaps
-        return row_gaps + row_forces @ self.residual_compliance
+            return gap_coefficients_of_rows
+        return gap_coefficients_of_rows + force_coefficients_of_rows @ self.residual_compliance
 
     def basis_gaps_and_forces_at_phases(
         self, phase: np.ndarray
@@ -658,29 +670,30 @@ class Wave:
         Gaps and forces are (n, n_columns): normal columns; with friction, tangential ones follow.
         """
         contact_law = self.contact
-        slow_gap_at_phases = basis_at_phases @ self.slow_gap_coefficients
+        gap_without_static_part = basis_at_phases @ self.gap_series_without_static_part
         if contact_law is None:
-            return basis_at_phases, slow_gap_at_phases, np.zeros_like(slow_gap_at_phases)
+            return basis_at_phases, gap_without_static_part, np.zeros_like(gap_without_static_part)
         if friction_of(contact_law) is not None:
             assert isinstance(self._integrals, FrictionIntegrals)
             force_at_phases = self._integrals.forces_and_places_at(
-                self.slow_gap_coefficients, phases
+                self.gap_series_without_static_part, phases
             )[0]
         elif self.residual_compliance is not None:
-            force_at_phases = self._integrals.forces_at_gap_samples(slow_gap_at_phases)
+            force_at_phases = self._integrals.forces_at_gap_samples(gap_without_static_part)
         elif not is_rigid(contact_law):
-            row_law = law_of_rows(contact_law, self.structure.n_pairs)
-            force_at_phases = row_law.force(slow_gap_at_phases)
+            law_of_all_rows = law_of_rows(contact_law, self.structure.n_pairs)
+            force_at_phases = law_of_all_rows.force(gap_without_static_part)
         else:
             assert contact_law.weight is not None
             force_at_phases = np.maximum(
                 0.0,
-                contact_law.weight * slow_gap_at_phases + basis_at_phases @ self.force_coefficients,
+                contact_law.weight * gap_without_static_part
+                + basis_at_phases @ self.force_coefficients,
             )
-        gap_at_phases = slow_gap_at_phases
+        gap_at_phases = gap_without_static_part
         if self.residual_compliance is not None:
-            gap_at_phases = slow_gap_at_phases - force_at_phases @ self.residual_compliance
-        return basis_at_phases, *merge_rows_of_pairs(
+            gap_at_phases = gap_without_static_part - force_at_phases @ self.residual_compliance
+        return basis_at_phases, *merge_layers_of_pairs(
             contact_law, self.structure.n_pairs, gap_at_phases, force_at_phases
         )
 
@@ -717,7 +730,7 @@ class Wave:
 
         InputError without friction.
         """
-        self._check_friction()
+        self._require_friction_law()
         return self.gaps_and_forces(time)[0][:, self.structure.n_pairs :]
 
     def tangential_force(self, time: np.ndarray) -> np.ndarray:
@@ -725,22 +738,22 @@ class Wave:
 
         InputError without friction.
         """
-        self._check_friction()
+        self._require_friction_law()
         return self.gaps_and_forces(time)[1][:, self.structure.n_pairs :]
 
-    def sticking_places(self, time: np.ndarray) -> np.ndarray:
+    def slider_positions(self, time: np.ndarray) -> np.ndarray:
         """Return the friction sliders' positions at times [s]: (len(time), n_pairs) [m].
 
         A position is the tangential gap less the deformation of the tangential contact spring. A
         pair that sticks keeps its position. InputError without friction.
         """
-        self._check_friction()
+        self._require_friction_law()
         assert isinstance(self._integrals, FrictionIntegrals)
         return self._integrals.forces_and_places_at(
-            self.slow_gap_coefficients, self.base_omega * time
+            self.gap_series_without_static_part, self.base_omega * time
         )[1]
 
-    def _check_friction(self) -> None:
+    def _require_friction_law(self) -> None:
         """Raise InputError if the contact law has no friction."""
         if friction_of(self.contact) is None:
             raise InputError("contact", self.contact, "a law with friction, CoulombFriction")
@@ -770,7 +783,7 @@ class Wave:
         quasi-static modes, that is, ``static_above``.
         """
         assert self.static_above is not None
-        responses = all_modes(self.structure_with_row_pairs).static_pair_responses(
+        responses = all_modes(self.structure_with_pair_per_row).static_displacement_by_pair_forces(
             self.static_above
         )
         return responses[:, : self.row_force_coefficients.shape[1]]
@@ -844,7 +857,7 @@ class CompiledEquations(Equations):
             )
             compliance_or_modes = {"compliance": dynamic_compliance_matrices}
         n_basis_gaps = n_pairs if reachable_gap_basis is None else reachable_gap_basis.shape[1]
-        static_compliance = (
+        residual_compliance_or_zeros = (
             np.zeros((n_pairs, n_pairs)) if residual_compliance is None else residual_compliance
         )
         linear_gap_rate_or_zeros = (
@@ -858,7 +871,7 @@ class CompiledEquations(Equations):
         self._kernel_struct = Struct(
             "contact_pairs", structure=structure_struct, n_basis_gaps=n_basis_gaps,
             growth=log_stiffness_rate, softness=start_series_compliance,
-            residual_compliance=require_shape(static_compliance, n_pairs, n_pairs),
+            residual_compliance=require_shape(residual_compliance_or_zeros, n_pairs, n_pairs),
             spring_compliances=require_shape(pair_spring_compliances, n_pairs),
             has_coupled_pairs=has_coupled_pairs,
             forms_jacobian=forms_jacobian,

@@ -28,13 +28,13 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, PeriodicMotion
 from fenics_crack.balance.more_modes import (
     ERROR_IF_UNKNOWN,
     GapAndDisplacementErrors,
     modal_truncation_errors,
     more_modes_structure_of,
-    motion_along_load,
+    project_motion_on_load,
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
@@ -43,10 +43,10 @@ from fenics_crack.model.contact import (
     is_layered,
     is_regular,
     is_rigid,
-    with_penalty,
+    with_penalty_as_normal_law,
 )
 from fenics_crack.model.modal import MAX_DENSE_SIZE, all_modes
-from fenics_crack.model.modes import NEGLIGIBLE
+from fenics_crack.model.modes import STIFFNESS_SOLUTION_ROUNDING
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.search import SearchOptions
@@ -180,11 +180,15 @@ def estimate_errors(
         True if the equations are solved.
     """
     structure, wave = problem.structure, assessment.wave
-    gap_from_displacement = problem.structure_with_row_pairs.gap_of(wave.displacement_coefficients)
+    gap_coefficients_of_displacement = problem.structure_with_pair_per_row.gap_of(
+        wave.displacement_coefficients
+    )
 
     def relative_gap_size(change: np.ndarray) -> float:
         """Return the size of a gap change (m, n_rows) [m] relative to the solution's gaps."""
-        return relative_rms_of_gap_change(change, point, problem.structure_with_row_pairs.clearance)
+        return relative_rms_of_gap_change(
+            change, point, problem.structure_with_pair_per_row.clearance
+        )
 
     relative_residual = relative_gap_size(point.residual)
     relative_rms_penetration = relative_gap_size(_rms_penetration_of_each_pair(point, problem))
@@ -196,7 +200,7 @@ def estimate_errors(
     finer_integrals, sampling_error = point.system.integrals.exact_or_finer_integrals(), 0.0
     if finer_integrals is not None:
         sampling_error = relative_gap_size(
-            point.gap_change_by_force(finer_integrals.force(point.unknown) - point.force)
+            point.gap_change_by_force_error(finer_integrals.force(point.unknown) - point.force)
         )
     if assessment.can_search_orbit:  # includes the sampling error
         harmonics_error, displacement_at_load_error = assessment.gap_and_displacement_errors(
@@ -209,7 +213,7 @@ def estimate_errors(
         if harmonics_error >= ERROR_IF_UNKNOWN
         else max(harmonics_error - sampling_error, 0.0)
     )
-    can_use_orbits = assessment.can_search_orbit and search and structure.light_lips
+    can_use_orbits = assessment.can_search_orbit and search and structure.has_massless_crack_faces
     more_modes = assessment.more_modes if can_use_orbits else None
     min_harmonics_for_modes = problem.response_harmonics(MIN_HARMONICS_FOR_MODAL_CHANGE)
     if (
@@ -232,7 +236,9 @@ def estimate_errors(
                 max(modal_errors[1], displacement_at_load_error),
             )
     return ErrorReport(
-        residual=max(relative_residual, relative_gap_size(gap_from_displacement - point.gap)),
+        residual=max(
+            relative_residual, relative_gap_size(gap_coefficients_of_displacement - point.gap)
+        ),
         truncation=truncation_error,
         sampling=sampling_error,
         reduction=modal_errors[0],
@@ -247,7 +253,9 @@ UNESTIMATED_REPORT = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.na
 """Report of a solution whose errors were not requested: all are nan."""
 
 
-def report_by_more_modes(solution: Wave, more_modes_solution: Wave) -> ErrorReport:
+def report_by_more_modes(
+    solution: PeriodicMotion, more_modes_solution: PeriodicMotion
+) -> ErrorReport:
     """Return the error report of the linear solution ``solution`` (collective).
 
     ``more_modes_solution`` is the linear solution for the reduced structure's reference, a
@@ -255,10 +263,12 @@ def report_by_more_modes(solution: Wave, more_modes_solution: Wave) -> ErrorRepo
     """
     gap_plus_clearance = more_modes_solution.gap_coefficients.copy()
     gap_plus_clearance[0] += solution.structure.clearance
-    change_mean_square = mean_square(
+    gap_change_mean_square = mean_square(
         more_modes_solution.gap_coefficients - solution.gap_coefficients
     )
-    gap_error = math.sqrt(change_mean_square / mean_square_with_limited_mean(gap_plus_clearance))
+    gap_error = math.sqrt(
+        gap_change_mean_square / mean_square_with_limited_mean(gap_plus_clearance)
+    )
     displacement_at_load_error = _relative_change_at_load(
         solution, more_modes_solution.structure, more_modes_solution.displacement_coefficients
     )
@@ -268,12 +278,14 @@ def report_by_more_modes(solution: Wave, more_modes_solution: Wave) -> ErrorRepo
     return ErrorReport(reduction=reduction_error, displacement=displacement_error)
 
 
-def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
+def _relative_change_at_load(
+    wave: PeriodicMotion, structure: Structure, displacement: np.ndarray
+) -> float:
     """Return the relative change of the displacement at the load between two motions (collective).
 
     Parameters
     ----------
-    wave : Wave
+    wave : PeriodicMotion
         First motion.
     structure : Structure
         Structure of the second motion.
@@ -284,12 +296,12 @@ def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.
     -------
     float
         Root mean square of the change, divided by the root mean square of the first motion. Both
-        are projected on the load (:func:`motion_along_load`). In the divisor the mean over time is
-        limited to the vibration. 0 if the first motion is zero.
+        are projected on the load (:func:`project_motion_on_load`). In the divisor the mean over
+        time is limited to the vibration. 0 if the first motion is zero.
     """
-    motion_coefficients = motion_along_load(wave.structure, wave.displacement_coefficients)
+    motion_coefficients = project_motion_on_load(wave.structure, wave.displacement_coefficients)
     change_mean_square = mean_square(
-        motion_along_load(structure, displacement) - motion_coefficients
+        project_motion_on_load(structure, displacement) - motion_coefficients
     )
     return (
         math.sqrt(change_mean_square / mean_square_with_limited_mean(motion_coefficients))
@@ -322,7 +334,7 @@ def relative_rms_of_gap_change(
     linear_gap = point.system.compliance_model.linear_gap.copy()
     gap_plus_clearance[0] += clearance
     linear_gap[0] += clearance
-    negligible_mean_square = NEGLIGIBLE**2 * mean_square(linear_gap)
+    negligible_mean_square = STIFFNESS_SOLUTION_ROUNDING**2 * mean_square(linear_gap)
     is_still = (
         mean_square(gap_plus_clearance) <= negligible_mean_square
     )  # the load presses the crack faces together
@@ -333,7 +345,7 @@ def relative_rms_of_gap_change(
     )
 
 
-def _truncation_errors(point: ContactPoint, wave: Wave) -> GapAndDisplacementErrors:
+def _truncation_errors(point: ContactPoint, wave: PeriodicMotion) -> GapAndDisplacementErrors:
     """Return the truncation errors, by solving again with more harmonics.
 
     For solutions without an exact flow. Four times as many harmonics are taken, fewer if the
@@ -359,9 +371,9 @@ def _truncation_errors(point: ContactPoint, wave: Wave) -> GapAndDisplacementErr
 
 def _relative_changes_by_better_system(
     base_point: ContactPoint,
-    wave: Wave,
+    wave: PeriodicMotion,
     better_system: ContactSystem,
-    start_slow_gap: np.ndarray,
+    start_gap_without_static_part: np.ndarray,
     structure: Structure,
 ) -> GapAndDisplacementErrors:
     """Return the relative changes of a solution by more harmonics or modes.
@@ -370,11 +382,11 @@ def _relative_changes_by_better_system(
     ----------
     base_point : ContactPoint
         Equations of the present solution.
-    wave : Wave
+    wave : PeriodicMotion
         Motion of the present solution.
     better_system : ContactSystem
         Equations with more harmonics or modes.
-    start_slow_gap : (2K+1, n_rows) [m]
+    start_gap_without_static_part : (2K+1, n_rows) [m]
         Gap coefficients at which Newton's method starts; with a residual flexibility, coefficients
         of gap plus residual flexibility times contact force.
     structure : Structure
@@ -386,25 +398,26 @@ def _relative_changes_by_better_system(
         Relative changes of the gaps, and of the displacement at the load; 1 (unknown) if Newton's
         method fails.
     """
-    start_point = better_system.linearise(start_slow_gap)
-    start_norm = max(float(np.linalg.norm(start_slow_gap)), 1e-300)
+    start_point = better_system.linearise(start_gap_without_static_part)
+    start_gap_norm = max(float(np.linalg.norm(start_gap_without_static_part)), 1e-300)
     tolerance = max(
-        COARSE_TOLERANCE * float(np.linalg.norm(start_point.residual)) / start_norm, ROUNDING
+        COARSE_TOLERANCE * float(np.linalg.norm(start_point.residual)) / start_gap_norm, ROUNDING
     )
     end_path_point = solve_by_full_or_damped_steps(
-        better_system, start_slow_gap, 1.0, tolerance=tolerance
+        better_system, start_gap_without_static_part, 1.0, tolerance=tolerance
     )
     if end_path_point is None:
         return ERROR_IF_UNKNOWN, ERROR_IF_UNKNOWN
     converged_better_point = better_system.linearise(end_path_point.unknown)
-    n_base_rows = len(base_point.force)
+    n_base_fourier_coefficients = len(base_point.force)
     gap_error = relative_rms_of_gap_change(
         converged_better_point.gap - start_point.gap,
         base_point,
-        wave.structure_with_row_pairs.clearance,
+        wave.structure_with_pair_per_row.clearance,
     )
     better_force = (
-        base_point.force + (converged_better_point.force - start_point.force)[:n_base_rows]
+        base_point.force
+        + (converged_better_point.force - start_point.force)[:n_base_fourier_coefficients]
     )
     displacement_at_load_error = _relative_change_at_load(
         wave, structure, better_system.compliance_model.displacement(better_force)
@@ -413,14 +426,14 @@ def _relative_changes_by_better_system(
 
 
 def _reduction_errors(
-    point: ContactPoint, wave: Wave, problem: Problem
+    point: ContactPoint, wave: PeriodicMotion, problem: Problem
 ) -> GapAndDisplacementErrors:
     """Return the modal truncation errors of gaps and of displacement at the load.
 
     The reduced structure has a reference: a reduction with more modes. The equations are solved
     again for the reference. The change removes only a fraction of the truncation error,
-    :attr:`ReducedStructure.share`. So the changes are divided by this fraction. Both errors are 0
-    without a reference.
+    :attr:`ReducedStructure.error_share_removed_by_reference`. So the changes are divided by this
+    fraction. Both errors are 0 without a reference.
     """
     more_modes_structure = more_modes_structure_of(wave)
     residual_compliance = point.system.residual_compliance
@@ -428,11 +441,11 @@ def _reduction_errors(
         return 0.0, 0.0
     cutoff = np.inf if residual_compliance is None else problem.quasi_static_above
     more_modes_problem = replace(problem, structure=more_modes_structure, static_above=cutoff)
-    start_slow_gap = point.gap
+    start_gap_without_static_part = point.gap
     if point.system.integrals.has_coupled_pairs:
         assert residual_compliance is not None
         if is_rigid(problem.contact) and not is_regular(
-            all_modes(more_modes_problem.structure_with_row_pairs).static_pair_compliance(cutoff)
+            all_modes(more_modes_problem.structure_with_pair_per_row).static_pair_compliance(cutoff)
         ):
             # With this stiffness the penalty is numerically a constraint.
             rigid_penalty_stiffness = len(residual_compliance) / (
@@ -440,15 +453,17 @@ def _reduction_errors(
             )
             more_modes_problem = replace(
                 more_modes_problem,
-                contact=with_penalty(problem.contact, float(rigid_penalty_stiffness)),
+                contact=with_penalty_as_normal_law(problem.contact, float(rigid_penalty_stiffness)),
             )
     more_modes_system = more_modes_problem.system(more_modes_problem.compliance_model())
     if more_modes_system.residual_compliance is not None:
-        start_slow_gap = start_slow_gap + point.force @ more_modes_system.residual_compliance
+        start_gap_without_static_part = (
+            start_gap_without_static_part + point.force @ more_modes_system.residual_compliance
+        )
     return modal_truncation_errors(
         problem.structure,
         _relative_changes_by_better_system(
-            point, wave, more_modes_system, start_slow_gap, more_modes_structure
+            point, wave, more_modes_system, start_gap_without_static_part, more_modes_structure
         ),
     )
 
@@ -460,13 +475,16 @@ def _rms_penetration_of_each_pair(point: ContactPoint, problem: Problem) -> np.n
     """
     integrals, n_instants = point.system.integrals, max(512, 8 * len(point.gap))
     if integrals.has_coupled_pairs:  # g has more than H harmonics
-        penetration = (point.force * integrals.spring_compliance)[:, : problem.structure.n_pairs]
+        penetration_series_or_samples = (point.force * integrals.spring_compliance)[
+            :, : problem.structure.n_pairs
+        ]
         rms_penetration = np.sqrt(
-            penetration[:1] ** 2 + 0.5 * np.sum(penetration[1:] ** 2, axis=0, keepdims=True)
+            penetration_series_or_samples[:1] ** 2
+            + 0.5 * np.sum(penetration_series_or_samples[1:] ** 2, axis=0, keepdims=True)
         )
     else:
-        penetration = np.maximum(sample_period(point.gap, n_instants), 0.0)
-        rms_penetration = np.sqrt(np.mean(penetration**2, axis=0, keepdims=True))
+        penetration_series_or_samples = np.maximum(sample_period(point.gap, n_instants), 0.0)
+        rms_penetration = np.sqrt(np.mean(penetration_series_or_samples**2, axis=0, keepdims=True))
     if is_layered(problem.contact):  # both rows of a pair count alike
         return np.tile(rms_penetration[:, : problem.structure.n_pairs], 2)
     return rms_penetration

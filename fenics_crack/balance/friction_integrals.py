@@ -98,18 +98,18 @@ class FrictionIntegrals(ContactIntegrals):
         friction_law = friction_of(self.law)
         assert friction_law is not None
         scaled_coefficient = np.multiply(self.friction_scale, friction_law.coefficient)
-        return FrictionContactSolver(self.compliance_matrix, scaled_coefficient)
+        return FrictionContactSolver(self.series_compliance_matrix, scaled_coefficient)
 
     @cached_property
-    def compliance_matrix(self) -> np.ndarray:
+    def series_compliance_matrix(self) -> np.ndarray:
         """Sum of all compliances in series with contact: (2 n_pairs, 2 n_pairs) [m/N].
 
         The terms are the residual flexibility, the contact springs' compliance 1/k, and
-        ``relative_softness`` times the mean pair compliance. k is the contact stiffness.
+        ``relative_series_softness`` times the mean pair compliance. k is the contact stiffness.
         """
         assert self.residual_compliance is not None
         series_compliances = (
-            self.spring_compliance + self.relative_softness * self.mean_pair_compliance
+            self.spring_compliance + self.relative_series_softness * self.mean_pair_compliance
         )
         return np.ascontiguousarray(self.residual_compliance + np.diag(series_compliances))
 
@@ -251,24 +251,26 @@ class FrictionForces(CoupledForces):
 
     def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
         n_rows, n_gaps = self._shape
-        gap_basis_matrix = np.eye(n_gaps) if gap_basis is None else np.ascontiguousarray(gap_basis)
-        n_instants, n_columns = self._integrals.n_instants, gap_basis_matrix.shape[1]
+        gap_basis_or_identity = (
+            np.eye(n_gaps) if gap_basis is None else np.ascontiguousarray(gap_basis)
+        )
+        n_instants, n_columns = self._integrals.n_instants, gap_basis_or_identity.shape[1]
         instant_phases = 2.0 * np.pi / n_instants * np.arange(n_instants)
         fourier_basis_samples = fourier_basis(instant_phases, np.arange(1, n_rows // 2 + 1))
-        weighted_basis_samples = 2.0 / n_instants * fourier_basis_samples
-        weighted_basis_samples[:, 0] *= 0.5
-        force_derivative_by_gaps = np.empty((n_rows, n_columns, n_rows * n_columns))
+        fourier_integration_weights = 2.0 / n_instants * fourier_basis_samples
+        fourier_integration_weights[:, 0] *= 0.5
+        coefficient_tangent_matrix = np.empty((n_rows, n_columns, n_rows * n_columns))
         if kernel.friction_tangent(
             self._integrals.friction_contact_solver.handle, n_instants,
             pointer(self.contact_states), pointer(self._last_unstuck_instants), n_rows,
             pointer(fourier_basis_samples),
-            pointer(weighted_basis_samples), n_columns,
-            pointer(gap_basis_matrix), pointer(force_derivative_by_gaps),
+            pointer(fourier_integration_weights), n_columns,
+            pointer(gap_basis_or_identity), pointer(coefficient_tangent_matrix),
         ):  # fmt: skip
             raise MemoryError("friction")
-        return force_derivative_by_gaps
+        return coefficient_tangent_matrix
 
-    def softness_derivative(self) -> np.ndarray:
+    def series_softness_derivative(self) -> np.ndarray:
         return self._force_coefficient_change(
             -self._integrals.mean_pair_compliance * self._force_samples
         )
@@ -295,7 +297,9 @@ class FrictionForces(CoupledForces):
         slip_force_derivative_by_scale[:, n_pairs:] = (
             slip_signs * friction_law.coefficient * self._force_samples[:, :n_pairs]
         )
-        compliance_matrix = integrals.compliance_matrix
+        series_compliance_matrix = integrals.series_compliance_matrix
         return fourier_coefficients(
             slip_force_derivative_by_scale, integrals.harmonics
-        ) + self._force_coefficient_change(-slip_force_derivative_by_scale @ compliance_matrix)
+        ) + self._force_coefficient_change(
+            -slip_force_derivative_by_scale @ series_compliance_matrix
+        )

@@ -33,10 +33,18 @@ from functools import cache, partial
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
-from fenics_crack.balance.block_system import SOLVER_BY_FORM
-from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
+from fenics_crack.balance.block_system import BALANCE_SOLVER_CLASS_BY_FORM
+from fenics_crack.balance.compliance import (
+    FactorisedDynamicStiffness,
+    ModalCompliance,
+    load_coefficients,
+)
 from fenics_crack.balance.error_report import UNESTIMATED_REPORT, ErrorReport, report_by_more_modes
-from fenics_crack.balance.more_modes import ERROR_IF_UNKNOWN, MoreModes, more_modes_structure_of
+from fenics_crack.balance.more_modes import (
+    ERROR_IF_UNKNOWN,
+    MoreModesComparison,
+    more_modes_structure_of,
+)
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -48,10 +56,10 @@ from fenics_crack.basics.errors import (
     check_omega,
 )
 from fenics_crack.basics.progress import begin_stage
-from fenics_crack.basics.suggestions import fit_argument_to_annotation
+from fenics_crack.basics.suggestions import check_argument_class_or_unwrap_run
 from fenics_crack.basics.tables import format_percent, format_quantity
 from fenics_crack.model.contact import ContactLaw, friction_of
-from fenics_crack.model.matrices import floats_or_nan
+from fenics_crack.model.matrices import floats_or_single_nan
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import LIP_STATES
 from fenics_crack.model.reduced import ReducedStructure, as_massless_structure_or_none
@@ -66,7 +74,7 @@ from fenics_crack.motion.orbit import (
     is_orbit_search_affordable,
 )
 from fenics_crack.motion.search import (
-    SEGMENT_START_SLICE,
+    SLICE_OF_SAMPLES_AT_SEGMENT_STARTS,
     OrbitSearchResult,
     SearchOptions,
     search_orbit,
@@ -182,7 +190,7 @@ def linear_response(
     >>> amplitude = fc.linear_response(structure, tip, np.linspace(1e3, 3e3, 50), lips="tied")
     """
     check_choice("lips", lips, LIP_STATES)
-    load_omegas = floats_or_nan(omega)
+    load_omegas = floats_or_single_nan(omega)
     if load_omegas.ndim != 1 or not np.all(np.isfinite(load_omegas) & (load_omegas >= 0.0)):
         raise InputError("omega", omega, "an array (n,) of finite numbers >= 0 [rad/s]")
     load_rows = load_coefficients(structure, 1, 1)
@@ -208,14 +216,14 @@ def _complex_linear_displacement(
     structure: Structure, omega: float, complex_load: np.ndarray
 ) -> np.ndarray:
     """Return the complex displacement under a harmonic load, both (n_local,) [m], [N]."""
-    if not structure.light_lips:
-        with DynamicStiffness(structure, omega) as dynamic_stiffness:
+    if not structure.has_massless_crack_faces:
+        with FactorisedDynamicStiffness(structure, omega) as dynamic_stiffness:
             return dynamic_stiffness.solve(
                 complex_load[None] if omega > 0.0 else complex_load.real[None]
             )[0]
     modes = all_modes(structure)
-    receptance = modes.modal_receptances(np.array([omega]))[0]
-    modal_displacement = modes.modal_response(receptance, complex_load @ modes.shapes)
+    modal_receptance = modes.modal_receptances(np.array([omega]))[0]
+    modal_displacement = modes.modal_response(modal_receptance, complex_load @ modes.shapes)
     return modal_displacement @ modes.shapes.T + complex_load @ modes.massless_flexibility
 
 
@@ -301,7 +309,7 @@ def solve_harmonic_balance(
     >>> solution = fc.solve_harmonic_balance(structure, 2000.0, contact, harmonics=20)
     >>> error = solution.report.total
     """
-    check_choice("form", form, SOLVER_BY_FORM)
+    check_choice("form", form, BALANCE_SOLVER_CLASS_BY_FORM)
     check_number("residual_tolerance", residual_tolerance, 0.0, excludes_bound=True)
     if tolerance is not None:
         check_number("tolerance", tolerance, 0.0, excludes_bound=True)
@@ -321,7 +329,7 @@ def solve_harmonic_balance(
         check_count("samples", samples, 4 * harmonics + 1)
     if initial is not None:
         check_initial(problem, initial)
-    solver = SOLVER_BY_FORM[form](problem, residual_tolerance, throw)
+    solver = BALANCE_SOLVER_CLASS_BY_FORM[form](problem, residual_tolerance, throw)
     if tolerance is not None:
         return solve_to_tolerance(solver, tolerance, initial)
     check_memory(structure, harmonics)
@@ -335,9 +343,11 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     subharmonic must divide the problem's.
     """
     structure, subharmonic = problem.structure, problem.subharmonic
-    fit_argument_to_annotation("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
+    check_argument_class_or_unwrap_run("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
     initial_dofs_and_pairs = initial.structure.n_dofs, initial.structure.n_pairs
-    needs_gaps_only = structure.light_lips and initial_dofs_and_pairs[1] == structure.n_pairs
+    needs_gaps_only = (
+        structure.has_massless_crack_faces and initial_dofs_and_pairs[1] == structure.n_pairs
+    )
     if not needs_gaps_only and initial_dofs_and_pairs != (structure.n_dofs, structure.n_pairs):
         requirement = (
             f"a solution with {structure.n_dofs} dofs and {structure.n_pairs} pairs, "
@@ -353,7 +363,7 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
         raise InputError("initial", f"subharmonic {initial.subharmonic}", requirement)
 
 
-SOUGHT_CHANGE_FACTOR = 3.0
+MAX_PREDICTED_CHANGE_FACTOR = 3.0
 """Maximum predicted gap change over the tolerance, to search an orbit with more modes.
 
 The orbit with more modes gives the exact modal truncation error. While the tolerance chooses the
@@ -426,18 +436,24 @@ def solve_to_tolerance(
         solver = replace(solver, problem=replace(solver.problem, structure=structure))
         solution = _solve_with_present_modes(solver, tolerance, initial)
         more_modes = solution.orbit and solution.assessment.more_modes
-        is_error_linear = bool(more_modes and more_modes.is_orbit_left_out)
-        report, is_error_linear = whole_structure.comm.bcast((solution.report, is_error_linear))
+        is_modal_error_linearised = bool(more_modes and more_modes.is_predicted_change_too_large)
+        report, is_modal_error_linearised = whole_structure.comm.bcast(
+            (solution.report, is_modal_error_linearised)
+        )
         solution = solution.reported(report)
-        if not is_error_linear:
+        if not is_modal_error_linearised:
             best_solution = _solution_with_smaller_error(best_solution, solution)
         if not (solution.converged and lacks_modes(solution, tolerance)):
             break
-        initial = solution if structure.light_lips else None
-    if is_error_linear and solution.orbit is not None:  # the last solution has the most modes
+        initial = solution if structure.has_massless_crack_faces else None
+    if (
+        is_modal_error_linearised and solution.orbit is not None
+    ):  # the last solution has the most modes
         problem = replace(solver.problem, harmonics=solution.harmonics)
         status, other_orbits = solution.status, solution.others
-        solution = solution_of_orbit(problem, solution.orbit, tolerance, balances_more_modes=True)
+        solution = orbit_solution_to_tolerance(
+            problem, solution.orbit, tolerance, balances_more_modes=True
+        )
         solution = solution.reported(whole_structure.comm.bcast(solution.report))
         solution = replace(solution, status=status, others=other_orbits)
         best_solution = _solution_with_smaller_error(best_solution, solution)
@@ -588,12 +604,12 @@ def _solve_with_present_modes(
         )
     solutions, search = _search_orbit_from_solutions(solver, flow, initial)
     if search.orbit is not None:
-        orbit_solution = solution_of_orbit(
+        orbit_solution = orbit_solution_to_tolerance(
             problem,
             search.orbit,
             tolerance,
             initial,
-            SOUGHT_CHANGE_FACTOR * tolerance,
+            MAX_PREDICTED_CHANGE_FACTOR * tolerance,
             balances_more_modes=True,
         )
         origin_text = (
@@ -613,8 +629,8 @@ def _solve_with_present_modes(
         solver, tolerance, _solver_for_other_problem(solver, problem).solve(initial)
     )
     harmonics_text = ", ".join(
-        str(load_harmonics * problem.subharmonic)
-        for load_harmonics in SearchOptions.guess_harmonic_counts
+        str(n_harmonics_per_load_period * problem.subharmonic)
+        for n_harmonics_per_load_period in SearchOptions.guess_harmonic_counts
     )
     status = (
         f"no exact orbit was found from H = {harmonics_text}; {search.outcome_text}; harmonic "
@@ -626,7 +642,7 @@ def _solve_with_present_modes(
 # --- by an orbit ----------------------------------------------------------------------------------
 
 
-def search_initial_orbit(
+def search_orbit_by_harmonic_balance(
     problem: Problem, initial: PeriodicSolution | None = None, *, prefer_stable: bool = True
 ) -> OrbitSearchResult:
     """Search for an exact orbit from harmonic-balance solutions with 5 to 40 harmonics.
@@ -668,11 +684,13 @@ def _search_orbit_from_solutions(
         if initial is not None and initial.orbit is not None:
             orbit = initial.orbit
             if initial.structure is problem.structure and orbit.subharmonic == problem.subharmonic:
-                yield orbit.period_samples.whole_states[SEGMENT_START_SLICE]
-            elif flow.n_modes > orbit.flow.n_modes and initial.structure.light_lips:
+                yield orbit.period_samples.whole_states[SLICE_OF_SAMPLES_AT_SEGMENT_STARTS]
+            elif flow.n_modes > orbit.flow.n_modes and initial.structure.has_massless_crack_faces:
                 yield _states_with_more_modes(flow, initial.assessment, orbit)
-        for load_harmonics in SearchOptions.guess_harmonic_counts:
-            start_problem = problem.with_harmonics(problem.response_harmonics(load_harmonics))
+        for n_harmonics_per_load_period in SearchOptions.guess_harmonic_counts:
+            start_problem = problem.with_harmonics(
+                problem.response_harmonics(n_harmonics_per_load_period)
+            )
             solution = _solver_for_other_problem(solver, start_problem).search_and_solution(
                 initial, with_whole_budget=False
             )[1]
@@ -700,8 +718,10 @@ def _states_with_more_modes(
     """
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
-        return more_modes.orbit.period_samples.whole_states[SEGMENT_START_SLICE]
-    return MoreModes(flow, assessment.wave, orbit).nearest_orbit_states_with_static_new_modes
+        return more_modes.orbit.period_samples.whole_states[SLICE_OF_SAMPLES_AT_SEGMENT_STARTS]
+    return MoreModesComparison(
+        flow, assessment.wave, orbit
+    ).nearest_orbit_states_with_static_new_modes
 
 
 def _solver_for_other_problem(solver: Solver, problem: Problem) -> Solver:
@@ -720,12 +740,12 @@ def _describe_other_orbits(search: OrbitSearchResult) -> str:
     return f"; other orbits at this frequency: {'; '.join(descriptions)}" if descriptions else ""
 
 
-def solution_of_orbit(
+def orbit_solution_to_tolerance(
     problem: Problem,
     orbit: PeriodicOrbit,
     tolerance: float,
     initial: PeriodicSolution | None = None,
-    allowed_prediction: float = math.inf,
+    max_predicted_change_for_search: float = math.inf,
     *,
     balances_more_modes: bool = False,
 ) -> PeriodicSolution:
@@ -742,7 +762,7 @@ def solution_of_orbit(
         Maximum relative error of the gaps.
     initial : PeriodicSolution, optional
         Neighbouring solution, whose factored matrices make the search with more modes faster.
-    allowed_prediction : float
+    max_predicted_change_for_search : float
         More modes change the gap; a linear prediction gives the relative change. Up to this change
         Newton's method searches the orbit with more modes.
     balances_more_modes : bool
@@ -753,7 +773,7 @@ def solution_of_orbit(
     coefficients = orbit.coefficients(
         problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
     )
-    more_modes: MoreModes | None = None
+    more_modes: MoreModesComparison | None = None
 
     def solution_with_harmonics(harmonics: int) -> PeriodicSolution:
         nonlocal coefficients
@@ -767,17 +787,19 @@ def solution_of_orbit(
         problem.response_harmonics(SearchOptions.guess_harmonic_counts[0])
     ).assessment.more_modes
     if more_modes:
-        more_modes = replace(more_modes, allowed_prediction=allowed_prediction)
+        more_modes = replace(
+            more_modes, max_predicted_change_for_search=max_predicted_change_for_search
+        )
     if more_modes and initial and initial.structure is problem.structure:
-        initial_more_modes = initial.assessment.more_modes
+        more_modes_of_initial_solution = initial.assessment.more_modes
         more_modes = replace(
             more_modes,
-            i_minus_m_solver=initial_more_modes.orbit_i_minus_m_solver
-            if initial_more_modes
+            i_minus_m_solver=more_modes_of_initial_solution.orbit_i_minus_m_solver
+            if more_modes_of_initial_solution
             else None,
         )
     if balances_more_modes:
-        more_modes = _with_orbit_by_balance(problem, solution_with_harmonics, more_modes)
+        more_modes = _more_modes_with_balanced_orbit(problem, solution_with_harmonics, more_modes)
     reduction_error, displacement_at_load_error = _modal_truncation_errors(
         problem, solution_with_harmonics, more_modes
     )
@@ -802,12 +824,14 @@ def solution_of_orbit(
         solution = solution_with_harmonics(harmonics)
     gap_samples = orbit.gap
     gap_and_displacement_errors = solution.assessment.gap_and_displacement_errors()
-    gap_plus_clearance = gap_samples + problem.structure.clearance
+    gap_plus_clearance_samples = gap_samples + problem.structure.clearance
     report = ErrorReport(
         residual=orbit.residual,
         truncation=gap_and_displacement_errors[0],
         reduction=reduction_error,
-        penetration=change_relative_to_motion(np.maximum(gap_samples, 0.0), gap_plus_clearance),
+        penetration=change_relative_to_motion(
+            np.maximum(gap_samples, 0.0), gap_plus_clearance_samples
+        ),
         displacement=min(
             gap_and_displacement_errors[1] + displacement_at_load_error, ERROR_IF_UNKNOWN
         ),
@@ -819,7 +843,7 @@ def truncated_orbit_solution(
     problem: Problem,
     orbit: PeriodicOrbit,
     coefficients: RealFourierCoefficients,
-    more_modes: MoreModes | None = None,
+    more_modes: MoreModesComparison | None = None,
 ) -> PeriodicSolution:
     """Return an orbit's Fourier series with the harmonics of a problem as a solution.
 
@@ -835,11 +859,11 @@ def truncated_orbit_solution(
     return PeriodicSolution(**vars(wave), assessment=Assessment(wave, orbit, more_modes=more_modes))
 
 
-def _with_orbit_by_balance(
+def _more_modes_with_balanced_orbit(
     problem: Problem,
     solution_with_harmonics: Callable[[int], PeriodicSolution],
-    more_modes: MoreModes | None,
-) -> MoreModes | None:
+    more_modes: MoreModesComparison | None,
+) -> MoreModesComparison | None:
     """Search the orbit with more modes by harmonic balance, if Newton's method failed.
 
     Harmonic balance with more modes and 40 harmonics of the load frequency starts from the orbit's
@@ -851,31 +875,33 @@ def _with_orbit_by_balance(
 
     - It is None: no flow with more modes is known.
     - The orbit with more modes is known.
-    - Its predicted change is too large (:attr:`MoreModes.is_orbit_left_out`).
+    - Its predicted change is too large (:attr:`MoreModesComparison.is_predicted_change_too_large`).
     - Crack faces have mass.
     - Harmonic balance fails, or no exact orbit is close to its solution.
     """
     if (
         more_modes is None
-        or not problem.structure.light_lips
+        or not problem.structure.has_massless_crack_faces
         or more_modes.orbit is not None
-        or more_modes.is_orbit_left_out
+        or more_modes.is_predicted_change_too_large
     ):
         return more_modes
     n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
-    larger_problem = replace(problem, structure=more_modes.flow.structure)
-    larger_solution = Solver(larger_problem.with_harmonics(n_harmonics)).search_and_solution(
-        solution_with_harmonics(n_harmonics)
-    )[1]
-    if larger_solution.converged and (larger_orbit := larger_solution.assessment.close_orbit):
-        return replace(more_modes, known_orbit=larger_orbit)
+    more_modes_problem = replace(problem, structure=more_modes.flow.structure)
+    more_modes_solution = Solver(
+        more_modes_problem.with_harmonics(n_harmonics)
+    ).search_and_solution(solution_with_harmonics(n_harmonics))[1]
+    if more_modes_solution.converged and (
+        more_modes_orbit := more_modes_solution.assessment.close_orbit
+    ):
+        return replace(more_modes, known_orbit_with_more_modes=more_modes_orbit)
     return more_modes  # which keeps what Newton's method found out
 
 
 def _modal_truncation_errors(
     problem: Problem,
     solution_with_harmonics: Callable[[int], PeriodicSolution],
-    more_modes: MoreModes | None,
+    more_modes: MoreModesComparison | None,
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
@@ -893,10 +919,12 @@ def _modal_truncation_errors(
     reduced_structure = problem.structure
     if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
         return 0.0, 0.0
-    if more_modes is None or (more_modes.orbit is None and not more_modes.is_orbit_left_out):
+    if more_modes is None or (
+        more_modes.orbit is None and not more_modes.is_predicted_change_too_large
+    ):
         n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
-        balance_solver = Solver(problem.with_harmonics(n_harmonics))
-        balanced_solution = balance_solver.search_and_solution(
+        solver_with_many_harmonics = Solver(problem.with_harmonics(n_harmonics))
+        balanced_solution = solver_with_many_harmonics.search_and_solution(
             solution_with_harmonics(n_harmonics), with_whole_budget=False, more_modes=more_modes
         )[1]
         if balanced_solution.converged:
@@ -1022,8 +1050,10 @@ def motion_without_friction(
     (:attr:`Assessment.is_accepted`), the motion is this solution.
     """
     problem = Problem(structure, omega, law, subharmonic=subharmonic)
-    start_problem = problem.with_harmonics(problem.response_harmonics(problem.harmonics))
-    solution = Solver(start_problem).solve()
+    problem_with_response_harmonics = problem.with_harmonics(
+        problem.response_harmonics(problem.harmonics)
+    )
+    solution = Solver(problem_with_response_harmonics).solve()
     assessment = solution.assessment
     return (
         assessment.nearest_orbit
@@ -1061,14 +1091,18 @@ def find_line_angles_and_turning(
     normal_force = motion_record.forces[:, :n_pairs]
     slip_change = np.roll(slip, -1, axis=0) - slip
     mean_normal_force = np.maximum(0.5 * (np.roll(normal_force, -1, axis=0) + normal_force), 0.0)
-    work_matrices = np.einsum("tip,tjp,tp->pij", slip_change, slip_change, mean_normal_force)
+    sliding_work_matrix_by_pair = np.einsum(
+        "tip,tjp,tp->pij", slip_change, slip_change, mean_normal_force
+    )
     if line_angles is None:
-        main_axes = np.linalg.eigh(work_matrices)[1][:, :, 1]
+        main_axes = np.linalg.eigh(sliding_work_matrix_by_pair)[1][:, :, 1]
         line_angles = np.arctan2(main_axes[:, 1], main_axes[:, 0])
     line_vectors = np.array([np.cos(line_angles), np.sin(line_angles)])
-    total_work_along = float(np.einsum("ip,jp,pij->", line_vectors, line_vectors, work_matrices))
+    total_work_along = float(
+        np.einsum("ip,jp,pij->", line_vectors, line_vectors, sliding_work_matrix_by_pair)
+    )
     total_work_across = max(
-        float(np.trace(work_matrices, axis1=1, axis2=2).sum()) - total_work_along, 0.0
+        float(np.trace(sliding_work_matrix_by_pair, axis1=1, axis2=2).sum()) - total_work_along, 0.0
     )
     return line_angles, math.sqrt(
         total_work_across / total_work_along

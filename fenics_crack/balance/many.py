@@ -10,7 +10,7 @@ Distances between cases are measured in x, each entry divided by its range over 
 frequency's range is at most the width of the resonance next to the median frequency. Cases are
 taken from the median outwards. Newton's method (:mod:`fenics_crack.motion.orbit`) starts from a
 linear fit of the orbits of the nearest earlier cases, then from the nearest orbit. If no stable
-orbit is found, the case is solved alone, as :func:`search_initial_orbit` does.
+orbit is found, the case is solved alone, as :func:`search_orbit_by_harmonic_balance` does.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenics_crack.balance.harmonic_balance import search_initial_orbit
+from fenics_crack.balance.harmonic_balance import search_orbit_by_harmonic_balance
 from fenics_crack.balance.more_modes import are_crack_faces_still
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.tables import Tabular
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.matrices import floats_or_nan
+from fenics_crack.model.matrices import floats_or_single_nan
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error
 from fenics_crack.motion.motions import dof_selection_rows
@@ -38,7 +38,7 @@ from fenics_crack.motion.orbit import (
     PeriodicOrbit,
     find_orbit,
     is_orbit_search_affordable,
-    orbit_through_state,
+    orbit_from_converged_state,
 )
 from fenics_crack.numerics.fourier import fourier_coefficients
 from fenics_crack.numerics.newton import change_relative_to_motion
@@ -48,7 +48,7 @@ N_NEAREST_CASES, N_NEIGHBOURS = 16, 8
 
 Neighbours are earlier cases with an orbit. A linear function of the parameters is fitted to them.
 """
-MIN_INSTANTS_OF_ORBIT = 256
+MIN_INSTANTS_TO_SAMPLE_ORBIT = 256
 """Minimum number of instants per period at which an orbit's results are evaluated.
 
 A Fourier coefficient of order 20 then has a relative error of a hundredth.
@@ -143,7 +143,7 @@ class ManyOrbits(Tabular):
             raise ConvergenceError(f"case {case}: {self.reason[case]}")
         problem = self.problem(case)
         flow = ContactFlow(problem.structure, problem.contact)
-        return orbit_through_state(flow, problem.omega, self.states[case], 1)
+        return orbit_from_converged_state(flow, problem.omega, self.states[case], 1)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the columns by name, as lists.
@@ -202,7 +202,9 @@ def solve_many(
     >>> many = fc.solve_many(structure, 2000.0, contact, damping=np.linspace(0.5, 2.0, 20))
     >>> lost = np.flatnonzero(many.status == "lost")
     """
-    argument_arrays = [floats_or_nan(argument) for argument in (omega, load, damping, clearance)]
+    argument_arrays = [
+        floats_or_single_nan(argument) for argument in (omega, load, damping, clearance)
+    ]
     argument_shapes = {argument.shape for argument in argument_arrays} - {()}
     if len(argument_shapes) != 1 or not all(
         len(argument_shape) == 1 and argument_shape[0] for argument_shape in argument_shapes
@@ -224,21 +226,21 @@ def solve_many(
     columns_by_name["states"] = np.full((n_cases, flow.state_size), np.nan)
     orbit_table = ManyOrbits(structure, contact, harmonics, **columns_by_name)
     watched_dof_row = dof_selection_rows(structure, [structure.watched_dof])
-    for case, neighbour_indices, scaled_parameter_offsets in _yield_cases_with_neighbours(
+    for case_index, neighbour_indices, scaled_parameter_offsets in _yield_cases_with_neighbours(
         orbit_table, flow
     ):
         try:
-            problem = orbit_table.problem(case)
+            problem = orbit_table.problem(case_index)
             orbit = _find_orbit_of_case(
-                orbit_table, case, problem, neighbour_indices, scaled_parameter_offsets
+                orbit_table, case_index, problem, neighbour_indices, scaled_parameter_offsets
             )
             for column_name, column_entry in _table_entries_of_orbit(
                 problem, orbit, watched_dof_row
             ).items():
-                columns_by_name[column_name][case] = column_entry
+                columns_by_name[column_name][case_index] = column_entry
         except (ConvergenceError, InputError, np.linalg.LinAlgError) as error:
-            orbit_table.status[case] = "refused" if isinstance(error, InputError) else "lost"
-            orbit_table.reason[case] = str(error)
+            orbit_table.status[case_index] = "refused" if isinstance(error, InputError) else "lost"
+            orbit_table.reason[case_index] = str(error)
     return orbit_table
 
 
@@ -270,11 +272,13 @@ def _yield_cases_with_neighbours(
     scaled_parameters = np.nan_to_num(np.array(parameter_rows).T, nan=0.0, posinf=0.0, neginf=0.0)
     parameter_ranges = np.ptp(scaled_parameters, axis=0)
     median_parameters = np.median(scaled_parameters, axis=0)
-    nearest_mode_index = int(np.abs(flow.modal_model.squares - median_parameters[0] ** 2).argmin())
+    mode_index_nearest_to_median_omega = int(
+        np.abs(flow.modal_model.squares - median_parameters[0] ** 2).argmin()
+    )
     resonance_width = (
         median_parameters[1]
         * flow.modal_model.damping_force(np.eye(flow.n_modes))[
-            nearest_mode_index, nearest_mode_index
+            mode_index_nearest_to_median_omega, mode_index_nearest_to_median_omega
         ]
     )
     parameter_ranges[0] = (
@@ -284,26 +288,26 @@ def _yield_cases_with_neighbours(
         parameter_ranges > 0.0, parameter_ranges, 1.0
     )
     case_order = np.argsort(np.linalg.norm(scaled_parameters, axis=1), kind="stable")
-    nearest_cases = (
+    nearest_case_indices = (
         cKDTree(scaled_parameters)
         .query(scaled_parameters, min(N_NEAREST_CASES, len(scaled_parameters)))[1]
         .reshape(len(scaled_parameters), -1)
     )
     order_position = np.argsort(case_order)
-    for case in case_order.tolist():
-        neighbour_indices = nearest_cases[case][
-            order_position[nearest_cases[case]] < order_position[case]
+    for case_index in case_order.tolist():
+        neighbour_indices = nearest_case_indices[case_index][
+            order_position[nearest_case_indices[case_index]] < order_position[case_index]
         ]
         yield (
-            case,
+            case_index,
             neighbour_indices,
-            scaled_parameters[neighbour_indices] - scaled_parameters[case],
+            scaled_parameters[neighbour_indices] - scaled_parameters[case_index],
         )
 
 
 def _find_orbit_of_case(
     orbit_table: ManyOrbits,
-    case: int,
+    case_index: int,
     problem: Problem,
     neighbour_indices: np.ndarray,
     scaled_parameter_offsets: np.ndarray,
@@ -328,7 +332,7 @@ def _find_orbit_of_case(
     scaled_parameter_offsets = scaled_parameter_offsets[is_usable_neighbour][:N_NEIGHBOURS]
     neighbour_states = (
         orbit_table.states[neighbour_indices]
-        * np.abs(orbit_table.load[case] / orbit_table.load[neighbour_indices])[:, None]
+        * np.abs(orbit_table.load[case_index] / orbit_table.load[neighbour_indices])[:, None]
     )
     state_guesses = list(neighbour_states[:1])
     if len(neighbour_states) > np.any(scaled_parameter_offsets, axis=0).sum() + 1:
@@ -336,26 +340,29 @@ def _find_orbit_of_case(
             1.0
             / np.maximum(np.linalg.norm(scaled_parameter_offsets, axis=1), STEP_TOLERANCE)[:, None]
         )
-        regression_rows = regression_weights * np.column_stack(
+        weighted_regression_matrix = regression_weights * np.column_stack(
             [np.ones(len(scaled_parameter_offsets)), scaled_parameter_offsets]
         )
         state_guesses.insert(
             0,
-            np.linalg.lstsq(regression_rows, regression_weights * neighbour_states, rcond=None)[0][
-                0
-            ],
+            np.linalg.lstsq(
+                weighted_regression_matrix, regression_weights * neighbour_states, rcond=None
+            )[0][0],
         )
     orbit_or_none_iterator = (
         find_orbit(flow, problem.omega, state, step_tolerance=STEP_TOLERANCE)
         for state in state_guesses
     )
-    orbit, orbit_table.status[case] = next(filter(None, orbit_or_none_iterator), None), "neighbour"
+    orbit, orbit_table.status[case_index] = (
+        next(filter(None, orbit_or_none_iterator), None),
+        "neighbour",
+    )
     # Without damping the largest modulus is 1.
     if orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + MULTIPLIER_TOLERANCE:
         return orbit
-    orbit_search = search_initial_orbit(problem)
+    orbit_search = search_orbit_by_harmonic_balance(problem)
     if orbit is None or (orbit_search.orbit is not None and orbit_search.orbit.is_stable):
-        orbit, orbit_table.status[case], orbit_table.reason[case] = (
+        orbit, orbit_table.status[case_index], orbit_table.reason[case_index] = (
             orbit_search.orbit,
             "alone",
             orbit_search.outcome_text,
@@ -372,25 +379,29 @@ def _table_entries_of_orbit(
 
     ``watched_dof_row`` (1, n_dofs) selects the watched dof.
     """
-    n_instants = max(MIN_INSTANTS_OF_ORBIT, 4 * problem.harmonics + 4)
+    n_instants = max(MIN_INSTANTS_TO_SAMPLE_ORBIT, 4 * problem.harmonics + 4)
     contact_track = orbit.motion.track
     orbit_samples = orbit.samples(np.arange(n_instants) * orbit.period / n_instants)
-    displacement_gaps_forces = orbit_samples.displacement, orbit_samples.gaps, orbit_samples.forces
+    displacement_gap_force_samples = (
+        orbit_samples.displacement,
+        orbit_samples.gaps,
+        orbit_samples.forces,
+    )
     wave = problem.wave_of(
         *(
             fourier_coefficients(quantity_samples, problem.harmonics)
-            for quantity_samples in displacement_gaps_forces
+            for quantity_samples in displacement_gap_force_samples
         )
     )
     gap_error_samples = (
-        displacement_gaps_forces[1] - wave.basis_gaps_and_forces_over_period(n_instants)[1]
+        displacement_gap_force_samples[1] - wave.basis_gaps_and_forces_over_period(n_instants)[1]
     )
-    watched_displacement = displacement_gaps_forces[0] @ watched_dof_row.T
+    watched_displacement_samples = displacement_gap_force_samples[0] @ watched_dof_row.T
     truncation_error = (
         0.0
         if are_crack_faces_still(orbit_samples)
         else change_relative_to_motion(
-            gap_error_samples, displacement_gaps_forces[1] + orbit.flow.clearance
+            gap_error_samples, displacement_gap_force_samples[1] + orbit.flow.clearance
         )
     )
     largest_multiplier_modulus = abs(orbit.multipliers[0])
@@ -398,8 +409,8 @@ def _table_entries_of_orbit(
     return {
         "amplitude": 0.5
         * (
-            _interpolated_overall_maximum(watched_displacement)
-            + _interpolated_overall_maximum(-watched_displacement)
+            _interpolated_overall_maximum(watched_displacement_samples)
+            + _interpolated_overall_maximum(-watched_displacement_samples)
         ),
         "opening": max(0.0, _interpolated_overall_maximum(-orbit_samples.gap)),
         "closed_share": contact_track.closed_share,

@@ -24,22 +24,22 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from fenics_crack.balance.contact_system import Wave
-from fenics_crack.model.modes import NEGLIGIBLE, multiply_columns
+from fenics_crack.balance.contact_system import PeriodicMotion
+from fenics_crack.model.modes import STIFFNESS_SOLUTION_ROUNDING, multiply_columns
 from fenics_crack.model.reduced import ReducedStructure, as_massless_structure_or_none
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
 from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
     MULTIPLIER_TOLERANCE,
+    ApproximateOrbitInEqualParts,
     IMinusMSolver,
-    MotionInEqualParts,
     PeriodicOrbit,
     find_orbit,
     predict_motion,
-    predict_orbit,
+    predict_orbit_by_newton_step,
 )
-from fenics_crack.motion.search import SEGMENT_START_SLICE
+from fenics_crack.motion.search import SLICE_OF_SAMPLES_AT_SEGMENT_STARTS
 from fenics_crack.numerics.equations import ROOT_TOLERANCE
 from fenics_crack.numerics.fourier import fourier_basis_for
 from fenics_crack.numerics.newton import change_relative_to_motion
@@ -51,7 +51,7 @@ GapAndDisplacementErrors = tuple[float, float]
 """Relative errors of the gap and of the displacement at the load, each at most 1."""
 
 
-def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
+def more_modes_structure_of(wave: PeriodicMotion) -> ReducedStructure | None:
     """Return the reference of a solution's reduced structure: the reduction with more modes.
 
     None: the structure is not reduced, or has no reference. The reference's damping is increased
@@ -60,38 +60,43 @@ def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
     reduced_structure = wave.structure
     if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
         return None
-    extra_damping = reduced_structure.share * _neglected_to_kept_dissipation_ratio(wave)
+    relative_damping_increase = (
+        reduced_structure.error_share_removed_by_reference
+        * _neglected_to_kept_dissipation_ratio(wave)
+    )
     return (
-        reduced_structure.reference.varied(damping=1.0 + extra_damping)
-        if extra_damping
+        reduced_structure.reference.varied(damping=1.0 + relative_damping_increase)
+        if relative_damping_increase
         else reduced_structure.reference
     )
 
 
-def _neglected_to_kept_dissipation_ratio(wave: Wave) -> float:
+def _neglected_to_kept_dissipation_ratio(wave: PeriodicMotion) -> float:
     """Return the energy loss missing in truncated modes, divided by the loss in kept modes.
 
-    Both are losses of the motion ``wave`` in a period, by Rayleigh damping. Truncated modes respond
-    quasi-statically, without this loss. The ratio is 0 without Rayleigh damping, and for a
-    structure with mass in all coordinates.
+    Both are losses of the motion ``wave_with_fewer_modes`` in a period, by Rayleigh damping.
+    Truncated modes respond quasi-statically, without this loss. The ratio is 0 without Rayleigh
+    damping, and for a structure with mass in all coordinates.
     """
     massless_structure = as_massless_structure_or_none(wave.structure)
     if massless_structure is None or not isinstance(
-        massless_structure.original.damping, RayleighDamping
+        massless_structure.unvaried_structure.damping, RayleighDamping
     ):
         return 0.0
     harmonic_orders = np.repeat(np.arange(1.0, wave.harmonics + 1), 2)[:, None]
     modal_rate_coefficients, static_rate_coefficients = np.split(
         harmonic_orders * wave.displacement_coefficients[1:], [massless_structure.n_modes], axis=1
     )
-    neglected_energy = massless_structure.original.damping.stiffness * np.sum(
-        static_rate_coefficients @ massless_structure.compliance * static_rate_coefficients
+    neglected_energy = massless_structure.unvaried_structure.damping.stiffness * np.sum(
+        static_rate_coefficients
+        @ massless_structure.truncated_static_compliance
+        * static_rate_coefficients
     )
     return float(
         neglected_energy
         / max(
             np.sum(modal_rate_coefficients**2 @ massless_structure.modal_damping),
-            NEGLIGIBLE * neglected_energy,
+            STIFFNESS_SOLUTION_ROUNDING * neglected_energy,
             1e-300,
         )
     )
@@ -103,17 +108,22 @@ def modal_truncation_errors(
     """Return modal truncation errors from the changes between a structure and its reference.
 
     The reference is a reduction with more modes. It removes only a fraction of the truncation
-    error, :attr:`ReducedStructure.share`; for other structures the fraction is 1. Each change, of
-    gap and of displacement, is divided by this fraction and limited to 1.
+    error, :attr:`ReducedStructure.error_share_removed_by_reference`; for other structures the
+    fraction is 1. Each change, of gap and of displacement, is divided by this fraction and limited
+    to 1.
     """
-    reference_share = structure.share if isinstance(structure, ReducedStructure) else 1.0
-    return min(gap_and_displacement_changes[0] / reference_share, ERROR_IF_UNKNOWN), min(
-        gap_and_displacement_changes[1] / reference_share, ERROR_IF_UNKNOWN
+    error_share_removed_by_reference = (
+        structure.error_share_removed_by_reference
+        if isinstance(structure, ReducedStructure)
+        else 1.0
     )
+    return min(
+        gap_and_displacement_changes[0] / error_share_removed_by_reference, ERROR_IF_UNKNOWN
+    ), min(gap_and_displacement_changes[1] / error_share_removed_by_reference, ERROR_IF_UNKNOWN)
 
 
 @dataclass(frozen=True)
-class MoreModes:
+class MoreModesComparison:
     """Change of a solution's exact orbit if the structure has more modes.
 
     The orbit with more modes is searched on first request.
@@ -121,22 +131,22 @@ class MoreModes:
 
     flow: ContactFlow
     """Exact flow of the structure with more modes."""
-    wave: Wave
+    wave_with_fewer_modes: PeriodicMotion
     """Motion of the harmonic-balance solution, with fewer modes."""
-    nearest_orbit: PeriodicOrbit
+    orbit_with_fewer_modes: PeriodicOrbit
     """Exact orbit nearest to the solution, with the modes of the solution's structure."""
     i_minus_m_solver: IMinusMSolver | None = None
     """Solver for (I - M) x = r with a neighbouring orbit's monodromy matrix M.
 
     The first Newton steps to the orbit with more modes use this solver. None: M is computed.
     """
-    allowed_prediction: float = math.inf
+    max_predicted_change_for_search: float = math.inf
     """Maximum predicted relative gap change from which an orbit is searched.
 
     With up to 120 modes, Newton's method is first tried from the orbit with fewer modes, without
     this limit.
     """
-    known_orbit: PeriodicOrbit | None = None
+    known_orbit_with_more_modes: PeriodicOrbit | None = None
     """Orbit with more modes, if it is known from another search."""
 
     @property
@@ -147,22 +157,25 @@ class MoreModes:
         mass, added modes respond statically to the load and the contact forces. Otherwise the
         orbit's motion is projected on the modes of the larger reduction.
         """
-        orbit_samples, flow = self.nearest_orbit.period_samples, self.flow
-        n_orbit_modes = self.nearest_orbit.flow.n_modes
+        orbit_samples, flow = self.orbit_with_fewer_modes.period_samples, self.flow
+        n_orbit_modes = self.orbit_with_fewer_modes.flow.n_modes
         modal_coordinates, modal_velocities, sticking_places = np.split(
             orbit_samples.whole_states, [n_orbit_modes, 2 * n_orbit_modes], axis=1
         )
-        if as_massless_structure_or_none(self.wave.structure) is None:
+        if as_massless_structure_or_none(self.wave_with_fewer_modes.structure) is None:
             return self._projected_states(modal_coordinates, modal_velocities, sticking_places)[
-                SEGMENT_START_SLICE
+                SLICE_OF_SAMPLES_AT_SEGMENT_STARTS
             ]
         n_kept = modal_coordinates.shape[1]
         modal_loads = (
-            fourier_basis_for(flow.modal_load, self.wave.omega * orbit_samples.time)
+            fourier_basis_for(
+                flow.modal_load, self.wave_with_fewer_modes.omega * orbit_samples.time
+            )
             @ flow.modal_load[:, n_kept:]
         )
         modal_loads = (
-            modal_loads - orbit_samples.row_forces @ flow.modal_model.gaps_by_mode[n_kept:].T
+            modal_loads
+            - orbit_samples.contact_row_forces @ flow.modal_model.gaps_by_mode[n_kept:].T
         )
         static_coordinates = modal_loads / flow.modal_model.squares[n_kept:]
         static_rates = (
@@ -175,7 +188,7 @@ class MoreModes:
             static_rates,
             sticking_places,
         ]
-        return np.hstack(state_columns)[SEGMENT_START_SLICE]
+        return np.hstack(state_columns)[SLICE_OF_SAMPLES_AT_SEGMENT_STARTS]
 
     def _projected_states(
         self,
@@ -189,7 +202,10 @@ class MoreModes:
         ``modal_velocities`` (n, n_modes) are those of the orbit with fewer modes.
         ``sticking_places`` (n, n_pairs) are the friction sliders' positions.
         """
-        reduced_structure, more_modes_structure = self.wave.structure, self.flow.structure
+        reduced_structure, more_modes_structure = (
+            self.wave_with_fewer_modes.structure,
+            self.flow.structure,
+        )
         assert isinstance(reduced_structure, ReducedStructure) and isinstance(
             more_modes_structure, ReducedStructure
         )
@@ -197,7 +213,7 @@ class MoreModes:
         mass_times_basis = multiply_columns(whole_structure.mass, reduced_structure.basis)
         basis_change = (
             whole_structure.sum_over_ranks(more_modes_structure.basis.T @ mass_times_basis)
-            @ self.nearest_orbit.flow.modal_model.shapes
+            @ self.orbit_with_fewer_modes.flow.modal_model.shapes
         )
         return self.flow.state(
             modal_coordinates @ basis_change.T, modal_velocities @ basis_change.T, sticking_places
@@ -211,7 +227,7 @@ class MoreModes:
         """
         return (
             None
-            if isinstance(self.orbit_or_corrected_motion, MotionInEqualParts)
+            if isinstance(self.orbit_or_corrected_motion, ApproximateOrbitInEqualParts)
             else self.orbit_or_corrected_motion
         )
 
@@ -222,9 +238,13 @@ class MoreModes:
         The step corrects the states at 32 instants of the period together. None: the motion with
         more modes cannot be integrated.
         """
-        if self.known_orbit is not None:
-            return self.known_orbit
-        flow, load_omega, n_load_periods = self.flow, self.wave.omega, self.wave.subharmonic
+        if self.known_orbit_with_more_modes is not None:
+            return self.known_orbit_with_more_modes
+        flow, load_omega, n_load_periods = (
+            self.flow,
+            self.wave_with_fewer_modes.omega,
+            self.wave_with_fewer_modes.subharmonic,
+        )
         period_states, start_i_minus_m_solver = (
             self.nearest_orbit_states_with_static_new_modes,
             self.i_minus_m_solver,
@@ -238,9 +258,11 @@ class MoreModes:
                 search_from_state(period_states[0]) if start_i_minus_m_solver else None
             )
         if orbit is None and (
-            prediction := predict_orbit(flow, load_omega, period_states, n_load_periods)
+            prediction := predict_orbit_by_newton_step(
+                flow, load_omega, period_states, n_load_periods
+            )
         ):
-            if prediction.relative_gap_error <= self.allowed_prediction:
+            if prediction.relative_gap_error <= self.max_predicted_change_for_search:
                 orbit = search_from_state(
                     prediction.states[0], solve_i_minus_m=prediction.solve_i_minus_m
                 )
@@ -266,21 +288,21 @@ class MoreModes:
         """
         if self.orbit_or_corrected_motion is None:
             return None
-        orbit_samples = self.nearest_orbit.period_samples
+        orbit_samples = self.orbit_with_fewer_modes.period_samples
         samples_with_more_modes = self.orbit_or_corrected_motion.period_samples
         gap_error = change_relative_to_motion(
             samples_with_more_modes.gaps - orbit_samples.gaps,
-            orbit_samples.gaps + self.nearest_orbit.flow.clearance,
+            orbit_samples.gaps + self.orbit_with_fewer_modes.flow.clearance,
         )
-        orbit_motion, motion_with_more_modes = (
-            motion_along_load(samples.flow.structure, samples.displacement)
-            for samples in (orbit_samples, samples_with_more_modes)
+        orbit_motion_along_load, more_modes_motion_along_load = (
+            project_motion_on_load(motion_samples.flow.structure, motion_samples.displacement)
+            for motion_samples in (orbit_samples, samples_with_more_modes)
         )
         displacement_at_load_error = change_relative_to_motion(
-            motion_with_more_modes - orbit_motion, orbit_motion
+            more_modes_motion_along_load - orbit_motion_along_load, orbit_motion_along_load
         )
         return modal_truncation_errors(
-            self.wave.structure,
+            self.wave_with_fewer_modes.structure,
             (
                 0.0 if are_crack_faces_still(orbit_samples) else gap_error,
                 displacement_at_load_error,
@@ -288,13 +310,17 @@ class MoreModes:
         )
 
     @property
-    def is_orbit_left_out(self) -> bool:
+    def is_predicted_change_too_large(self) -> bool:
         """True if the orbit with more modes is unknown and its predicted change is too large.
 
-        The gap's predicted error then exceeds ``allowed_prediction``.
+        The gap's predicted error then exceeds ``max_predicted_change_for_search``.
         """
         errors = self.gap_and_displacement_errors
-        return self.orbit is None and errors is not None and errors[0] > self.allowed_prediction
+        return (
+            self.orbit is None
+            and errors is not None
+            and errors[0] > self.max_predicted_change_for_search
+        )
 
     def describe_contradiction(self, verdict: str) -> str:
         """Return a text if more modes change the orbit's stability, else "".
@@ -308,12 +334,13 @@ class MoreModes:
         if self.flow.n_modes > MAX_MODES_FOR_MONODROMY:
             return ""
         modulus = float(abs(self.orbit.multipliers[0]))
-        orbit_verdict = "stable" if modulus < 1.0 else "unstable"
-        if orbit_verdict == verdict or abs(modulus - 1.0) <= MULTIPLIER_TOLERANCE:
+        orbit_stability_verdict = "stable" if modulus < 1.0 else "unstable"
+        if orbit_stability_verdict == verdict or abs(modulus - 1.0) <= MULTIPLIER_TOLERANCE:
             return ""
         n_modes = len(self.flow.modal_model.squares)
         return (
-            f"with {n_modes} modes the orbit is {orbit_verdict} (largest multiplier {modulus:.6g})"
+            f"with {n_modes} modes the orbit is {orbit_stability_verdict} (largest multiplier "
+            f"{modulus:.6g})"
         )
 
 
@@ -322,18 +349,25 @@ def are_crack_faces_still(samples: Samples) -> bool:
 
     Gaps plus clearance are then at most 1e-12 times the gaps due to the modes with mass alone.
     """
-    modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.gaps_by_mode
+    gaps_by_modes_with_mass = (
+        samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.gaps_by_mode
+    )
     gap_plus_clearance = samples.gaps + samples.flow.clearance
-    return bool(np.linalg.norm(gap_plus_clearance) <= NEGLIGIBLE * np.linalg.norm(modal_gaps))
+    return bool(
+        np.linalg.norm(gap_plus_clearance)
+        <= STIFFNESS_SOLUTION_ROUNDING * np.linalg.norm(gaps_by_modes_with_mass)
+    )
 
 
-def motion_along_load(structure: Structure, motion: np.ndarray) -> np.ndarray:
+def project_motion_on_load(structure: Structure, motion: np.ndarray) -> np.ndarray:
     """Return the products of a displacement with the load: (n, n_loads) [J] (collective).
 
     ``motion`` (n, n_local) [m] is a displacement at n instants, or n Fourier coefficients. The
     loads are the load's cosine and sine coefficients, without zero rows. If all are zero, the mean
     load is taken.
     """
-    is_loaded_row = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
-    is_loaded_row[0] &= not is_loaded_row[1:].any()
-    return structure.sum_over_ranks(motion @ structure.force[is_loaded_row].T)
+    is_load_coefficient_row_nonzero = (
+        structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
+    )
+    is_load_coefficient_row_nonzero[0] &= not is_load_coefficient_row_nonzero[1:].any()
+    return structure.sum_over_ranks(motion @ structure.force[is_load_coefficient_row_nonzero].T)

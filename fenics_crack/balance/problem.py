@@ -49,7 +49,7 @@ from fenics_crack.balance.contact_integrals import (
 from fenics_crack.balance.contact_system import (
     ContactPoint,
     ContactSystem,
-    Wave,
+    PeriodicMotion,
     default_projection_weight,
 )
 from fenics_crack.balance.friction_integrals import FrictionIntegrals, integrals_with_coupled_pairs
@@ -62,19 +62,19 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.machine import machine_memory
 from fenics_crack.basics.progress import begin_stage
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import (
     ContactLaw,
-    add_contact_rows,
+    add_pair_for_each_contact_force,
     check_law,
     friction_of,
     is_regular,
     is_rigid,
     law_of_rows,
-    merge_rows_of_pairs,
+    merge_layers_of_pairs,
     normal_law,
-    split_rows_of_pairs,
+    split_pairs_into_layers,
     spring_compliances,
 )
 from fenics_crack.model.modal import all_modes, is_small
@@ -94,7 +94,7 @@ from fenics_crack.motion.search import (
 from fenics_crack.numerics.equations import COARSE_TOLERANCE, ROUNDING, Linearisation
 from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.numerics.newton import (
-    MAX_FULL_STEPS,
+    MAX_ITERATIONS_AT_FIXED_PARAMETER,
     MAX_STALLED_STEPS,
     SystemSnes,
     can_solve_in_kernel,
@@ -111,7 +111,7 @@ MAX_UNKNOWNS_TIMES_POINTS_PER_CALL = 15_000
 
 Ctrl-C waits until the call ends, a second or two.
 """
-REMEDY_IF_SINGULAR = (
+REMEDY_IF_RIGID_CONTACT_IS_SINGULAR = (
     "'penalty' with a stiffness, as rigid contact is singular here: all modes are kept (keep "
     "fewer), or a strip beside a crack is too thin (place cracks farther apart)"
 )
@@ -119,7 +119,7 @@ REMEDY_IF_SINGULAR = (
 
 The contact is rigid, and static contact forces cannot move some pair independently.
 """
-REMEDY_WITHOUT_COMPLIANCE = (
+REMEDY_IF_FRICTION_LACKS_COMPLIANCE = (
     "a penalty law with a tangential stiffness, as sticking pairs need some compliance; or "
     "reduce the structure by reduce_structure(structure, method='massless')"
 )
@@ -147,7 +147,12 @@ More than 350 unknowns count as 350. The search takes 1 to 3 s.
 """
 
 
-@with_old_names(compliance="compliance_model", cutoff="quasi_static_above")
+@keep_old_attribute_names(
+    structure_with_row_pairs="structure_with_pair_per_row",
+    with_weight="with_projection_weight",
+    compliance="compliance_model",
+    cutoff="quasi_static_above",
+)
 @dataclass(frozen=True)
 class Problem:
     """Structure under its load, with the contact law and the harmonics to solve for.
@@ -250,16 +255,16 @@ class Problem:
         return None if self.residual_compliance is None else self.quasi_static_above
 
     @cached_property
-    def structure_with_row_pairs(self) -> Structure:
+    def structure_with_pair_per_row(self) -> Structure:
         """Structure with a pair for each contact row: with friction or layers two for each pair.
 
         Otherwise it is the structure itself.
         """
-        return add_contact_rows(self.contact, self.structure)
+        return add_pair_for_each_contact_force(self.contact, self.structure)
 
     @cached_property
     def row_law(self) -> ContactLaw:
-        """Law for the contact rows, the pairs of :attr:`structure_with_row_pairs`."""
+        """Law for the contact rows, the pairs of :attr:`structure_with_pair_per_row`."""
         return law_of_rows(self.contact, self.structure.n_pairs)
 
     @property
@@ -285,13 +290,16 @@ class Problem:
         structure, contact_law = self.structure, self.contact
         if self.has_friction:
             return self._residual_compliance_with_friction
-        has_massless_faces, has_rigid_law = structure.light_lips, is_rigid(contact_law)
+        has_massless_faces, has_rigid_law = (
+            structure.has_massless_crack_faces,
+            is_rigid(contact_law),
+        )
         may_project_constraint = (
             is_rigid(contact_law) and contact_law.weight is not None and not has_massless_faces
         )
         if may_project_constraint or not is_small(structure):
             return None
-        residual_compliance = all_modes(self.structure_with_row_pairs).static_pair_compliance(
+        residual_compliance = all_modes(self.structure_with_pair_per_row).static_pair_compliance(
             self.quasi_static_above
         )
         if not has_massless_faces and not has_rigid_law:
@@ -304,7 +312,7 @@ class Problem:
                 return None
         if has_rigid_law and not is_regular(residual_compliance):
             if has_massless_faces:
-                raise InputError("contact law", "unilateral", REMEDY_IF_SINGULAR)
+                raise InputError("contact law", "unilateral", REMEDY_IF_RIGID_CONTACT_IS_SINGULAR)
             return None
         return residual_compliance
 
@@ -317,7 +325,9 @@ class Problem:
         has_few_dofs = is_small(self.structure)
         pair_spring_compliances = spring_compliances(self.contact, self.structure.n_pairs)
         residual_compliance = (
-            all_modes(self.structure_with_row_pairs).static_pair_compliance(self.quasi_static_above)
+            all_modes(self.structure_with_pair_per_row).static_pair_compliance(
+                self.quasi_static_above
+            )
             if has_few_dofs
             else None
         )
@@ -327,7 +337,7 @@ class Problem:
             else residual_compliance + np.diag(pair_spring_compliances)
         )
         if not np.all(pair_spring_compliances) and not is_regular(series_compliance):
-            raise InputError("contact", self.contact, REMEDY_WITHOUT_COMPLIANCE)
+            raise InputError("contact", self.contact, REMEDY_IF_FRICTION_LACKS_COMPLIANCE)
         return residual_compliance
 
     def with_common_cutoff(self, cutoff: float) -> Problem:
@@ -336,9 +346,9 @@ class Problem:
         Modes above ``cutoff`` [rad/s] are quasi-static at all points. The problem at this cutoff
         also decides for all points whether pairs have a residual flexibility.
         """
-        base_omega = cutoff / (CUTOFF_TO_HIGHEST_HARMONIC * self.harmonics)
+        base_omega_with_this_cutoff = cutoff / (CUTOFF_TO_HIGHEST_HARMONIC * self.harmonics)
         residual_compliance = replace(
-            self, static_above=None, omega=base_omega * self.subharmonic
+            self, static_above=None, omega=base_omega_with_this_cutoff * self.subharmonic
         ).residual_compliance
         return replace(self, static_above=np.inf if residual_compliance is None else cutoff)
 
@@ -351,7 +361,7 @@ class Problem:
         """
         return is_rigid(self.contact) and self.residual_compliance is None and not self.has_friction
 
-    def with_weight(self, compliance_model: ComplianceModel) -> Problem:
+    def with_projection_weight(self, compliance_model: ComplianceModel) -> Problem:
         """Return the problem with a default weight if its rigid law is solved pair by pair.
 
         The weight [N/m] stands for a contact stiffness (``default_projection_weight``). Other
@@ -371,14 +381,18 @@ class Problem:
 
         ``compliance_model`` is the problem's dynamic compliance of the gaps.
         """
-        return ContactSystem(compliance_model, self.with_weight(compliance_model).integrals())
+        return ContactSystem(
+            compliance_model, self.with_projection_weight(compliance_model).integrals()
+        )
 
-    def wave(self, point: ContactPoint) -> Wave:
+    def wave(self, point: ContactPoint) -> PeriodicMotion:
         """Return the motion at a solution of the equations (collective)."""
         displacement = point.system.compliance_model.displacement(point.force)
         return self.wave_of(displacement, point.gap, point.force)
 
-    def wave_of(self, displacement: np.ndarray, gap: np.ndarray, force: np.ndarray) -> Wave:
+    def wave_of(
+        self, displacement: np.ndarray, gap: np.ndarray, force: np.ndarray
+    ) -> PeriodicMotion:
         """Return the motion with given Fourier coefficients.
 
         Parameters
@@ -389,13 +403,14 @@ class Problem:
             the layered law, a column for each pair, or for each of the two rows of a pair.
         """
         n_pairs = self.structure.n_pairs
-        gap, force = merge_rows_of_pairs(self.contact, n_pairs, gap, force)
-        tangential_gap_and_force = (
+        gap, force = merge_layers_of_pairs(self.contact, n_pairs, gap, force)
+        tangential_gap_force_coefficients = (
             (gap[:, n_pairs:], force[:, n_pairs:]) if self.has_friction else (None, None)
         )
-        return Wave(
+        return PeriodicMotion(
             self.structure, self.omega, self.contact, displacement, gap[:, :n_pairs],
-            force[:, :n_pairs], self.subharmonic, self.static_cutoff, *tangential_gap_and_force,
+            force[:, :n_pairs], self.subharmonic, self.static_cutoff,
+            *tangential_gap_force_coefficients,
         )  # fmt: skip
 
     def integrals(self) -> ContactIntegrals:
@@ -409,14 +424,16 @@ class Problem:
                 contact_law, harmonics, self.residual_compliance, self.samples
             )
         if self.has_friction:
-            zero_compliance = np.zeros((self.structure_with_row_pairs.n_pairs,) * 2)
+            all_zero_residual_compliance = np.zeros((self.structure_with_pair_per_row.n_pairs,) * 2)
             return integrals_with_coupled_pairs(
-                contact_law, harmonics, zero_compliance, self.samples
+                contact_law, harmonics, all_zero_residual_compliance, self.samples
             )
         if is_rigid(contact_law):
             assert contact_law.weight is not None
-            projection_compliance = np.eye(self.structure.n_pairs) / contact_law.weight
-            return ExactIntegrals(contact_law, harmonics, residual_compliance=projection_compliance)
+            inverse_projection_weight = np.eye(self.structure.n_pairs) / contact_law.weight
+            return ExactIntegrals(
+                contact_law, harmonics, residual_compliance=inverse_projection_weight
+            )
         return integrals_with_uncoupled_pairs(
             contact_law, harmonics, self.samples, self.subharmonic
         )
@@ -427,7 +444,7 @@ class Problem:
         The caller frees it with ``destroy``.
         """
         return make_compliance_model(
-            self.structure_with_row_pairs, self.base_omega, self.harmonics, self.subharmonic
+            self.structure_with_pair_per_row, self.base_omega, self.harmonics, self.subharmonic
         )
 
     def with_harmonics(self, harmonics: int) -> Problem:
@@ -449,9 +466,11 @@ def check_memory(structure: Structure, harmonics: int) -> None:
     n_pairs = structure.n_pairs
     n_unknowns, memory_exponent = (2 * harmonics + 1) * n_pairs, 2
     n_numbers = N_JACOBIANS_IN_MEMORY * n_unknowns**2
-    if structure.light_lips:  # an error estimate has twice the harmonics
-        n_vectors = 2 * kernel.MAX_KRYLOV_VECTORS + 2  # vectors kept, and those for a solution
-        n_numbers = 2 * (2 * N_JACOBIANS_IN_MEMORY * n_pairs + n_vectors) * n_unknowns
+    if structure.has_massless_crack_faces:  # an error estimate has twice the harmonics
+        n_krylov_vectors = (
+            2 * kernel.MAX_KRYLOV_VECTORS + 2
+        )  # vectors kept, and those for a solution
+        n_numbers = 2 * (2 * N_JACOBIANS_IN_MEMORY * n_pairs + n_krylov_vectors) * n_unknowns
         memory_exponent = 1
     machine_bytes = machine_memory()
     if 8 * n_numbers > 0.8 * machine_bytes:
@@ -461,14 +480,15 @@ def check_memory(structure: Structure, harmonics: int) -> None:
         needed_gib_text, machine_gib_text = (
             f"{n_bytes / 2**30:.0f}" for n_bytes in (8 * n_numbers, machine_bytes)
         )
-        memory_text = (
+        needed_and_machine_memory_text = (
             f"{n_unknowns} unknowns need {needed_gib_text} GiB of memory, "
             f"and this machine has {machine_gib_text} GiB"
         )
         raise InputError(
             "harmonics",
             harmonics,
-            f"at most {max_allowed_harmonics} with {n_pairs} pairs: {memory_text}",
+            f"at most {max_allowed_harmonics} with {n_pairs} pairs: "
+            f"{needed_and_machine_memory_text}",
         )
 
 
@@ -598,9 +618,13 @@ class Search:
             )
             self.iterations += n_iterations
             return point
-        kernel_point = self._point_after_full_steps_or_none(self.system, guess)
-        self.has_converged = kernel_point is not None
-        return self.system.linearise(guess, 1.0) if kernel_point is None else kernel_point
+        solution_from_kernel_or_none = self._point_after_full_steps_or_none(self.system, guess)
+        self.has_converged = solution_from_kernel_or_none is not None
+        return (
+            self.system.linearise(guess, 1.0)
+            if solution_from_kernel_or_none is None
+            else solution_from_kernel_or_none
+        )
 
     def _point_after_full_steps_or_none(
         self,
@@ -638,7 +662,7 @@ class Search:
     def _max_iterations_per_guess(self) -> int:
         """Maximum number of iterations per guess: 20; fewer with many harmonics and friction."""
         return min(
-            MAX_FULL_STEPS,
+            MAX_ITERATIONS_AT_FIXED_PARAMETER,
             math.ceil(self.budget_fraction * _allowed_search_iterations(self.system)),
         )
 
@@ -691,7 +715,7 @@ class Search:
         if (
             self.budget_fraction == 1.0
             and system.integrals.has_coupled_pairs
-            and problem.harmonics <= self._orbit_first_above_harmonics
+            and problem.harmonics <= self._n_harmonics_above_which_orbit_first
         ):
             flow = exact_flow_or_none(problem.structure, problem.contact)
             is_orbit_last = flow is not None and flow.n_modes > MAX_MODES_FOR_MONODROMY
@@ -700,7 +724,7 @@ class Search:
         yield from later_strategies
 
     @property
-    def _orbit_first_above_harmonics(self) -> int:
+    def _n_harmonics_above_which_orbit_first(self) -> int:
         """Number of harmonics above which an exact orbit is the first guess.
 
         The number is 40 harmonics of the load frequency.
@@ -738,9 +762,13 @@ class Search:
         harmonics of the load frequency, an exact orbit is searched. If found, its gaps are yielded.
         Guesses are slow gap coefficients (2H+1, n_rows) [m] with the problem's harmonics.
         """
-        orbit_first_above_harmonics = self._orbit_first_above_harmonics
+        n_harmonics_above_which_orbit_first = self._n_harmonics_above_which_orbit_first
         for n_harmonics in harmonic_counts:
-            if orbit_first_above_harmonics < n_harmonics <= 2 * orbit_first_above_harmonics:
+            if (
+                n_harmonics_above_which_orbit_first
+                < n_harmonics
+                <= 2 * n_harmonics_above_which_orbit_first
+            ):
                 yield from self._yield_guesses_from_orbit()
             system = self.system
             iterations_before = self.iterations
@@ -753,7 +781,7 @@ class Search:
             guess = (
                 system.linear_gap
                 if simpler_point is None
-                else system.slow_gap(simpler_point.gap, simpler_point.force)
+                else system.gap_without_static_part(simpler_point.gap, simpler_point.force)
             )
             if system is self.system:
                 yield from self._yield_guess_and_damped_newton_point(system, guess)
@@ -826,7 +854,7 @@ class Search:
                 system_with_friction.dynamic_less_static_compliance, frictionless_force
             )
         )
-        if problem_with_friction.harmonics > self._orbit_first_above_harmonics:
+        if problem_with_friction.harmonics > self._n_harmonics_above_which_orbit_first:
             yield from self._yield_guesses_from_orbit()
         yield self._simpler_point.unknown
 
@@ -845,11 +873,13 @@ class Search:
         if flow is None or not is_orbit_search_affordable(flow, load_omega, n_load_periods):
             return
         if simpler_point is not None:
-            simpler_displacement = self.system.compliance_model.displacement(
+            displacement_at_simpler_point = self.system.compliance_model.displacement(
                 resize_harmonics(simpler_point.force, problem.harmonics)
             )
             state_guesses.append(
-                series_states_at_period_parts(flow, simpler_displacement, problem.base_omega)
+                series_states_at_period_parts(
+                    flow, displacement_at_simpler_point, problem.base_omega
+                )
             )
         self.orbit = search_orbit(
             flow, load_omega, state_guesses, n_load_periods, prefer_stable=False
@@ -860,8 +890,8 @@ class Search:
             self.remedy = "a tolerance: the solution is then the exact orbit that was found"
             yield from self._yield_guess_and_damped_newton_point(
                 self.system,
-                self.system.slow_gap(
-                    *split_rows_of_pairs(
+                self.system.gap_without_static_part(
+                    *split_pairs_into_layers(
                         problem.contact,
                         gap_and_force_coefficients.gap,
                         gap_and_force_coefficients.force,
@@ -890,7 +920,7 @@ class Search:
         if start_point is None:
             return
         max_steps = 1 + max(0, int(budget_fraction * (self._max_iterations - self.iterations)))
-        max_iterations = self.iterations + max_steps
+        max_total_iterations = self.iterations + max_steps
         points_per_call = min(PathOptions.points_per_call, 1 + max_steps // MAX_STALLED_STEPS)
         path_options = replace(
             HOMOTOPY_OPTIONS,
@@ -903,9 +933,9 @@ class Search:
         )
         for path_point in continuation_path.points():
             self.iterations += path_point.iterations
-            if self.iterations >= max_iterations:
+            if self.iterations >= max_total_iterations:
                 return
-        if continuation_path.end_reason is EndReason.REACHED:
+        if continuation_path.end_reason is EndReason.TERMINAL_EVENT_REACHED:
             yield continuation_path.last_point.unknown
 
 
@@ -930,10 +960,14 @@ def _allowed_search_iterations(system: ContactSystem) -> float:
     integrals = system.integrals
     if isinstance(integrals, FrictionIntegrals):
         return MAX_FRICTION_SEARCH_WORK / (integrals.n_instants * system.n_cost_unknowns)
-    kernel_budget = (
+    max_iterations_in_kernel = (
         MAX_SEARCH_ITERATIONS * (300.0 / max(MIN_UNKNOWNS_WITH_GROWING_COST, system.size)) ** 2
     )
     if getattr(system, "compiled_equations", None) is not None:
-        return kernel_budget
-    python_budget = MAX_SEARCH_ITERATIONS / 5  # Python takes five times as long
-    return python_budget if system.is_matrix_free else min(python_budget, kernel_budget)
+        return max_iterations_in_kernel
+    max_iterations_in_python = MAX_SEARCH_ITERATIONS / 5  # Python takes five times as long
+    return (
+        max_iterations_in_python
+        if system.is_matrix_free
+        else min(max_iterations_in_python, max_iterations_in_kernel)
+    )

@@ -12,11 +12,12 @@ import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.compliance import ComplianceModel
-from fenics_crack.balance.contact_system import ContactPoint, Wave
+from fenics_crack.balance.contact_system import ContactPoint, PeriodicMotion
 from fenics_crack.balance.error_report import ErrorReport, estimate_errors
-from fenics_crack.balance.more_modes import MoreModes
+from fenics_crack.balance.more_modes import MoreModesComparison
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.errors import ConvergenceError, check_number
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import (
     RAD_PER_TURN,
     Described,
@@ -28,11 +29,11 @@ from fenics_crack.model.contact import (
     check_slope,
     friction_coefficient_of,
     is_unilateral,
-    split_rows_of_pairs,
+    split_pairs_into_layers,
 )
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import NEGLIGIBLE
-from fenics_crack.motion.motions import ObservedMotion, Record
+from fenics_crack.model.modes import STIFFNESS_SOLUTION_ROUNDING
+from fenics_crack.motion.motions import MotionRecord, ObservedMotion
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.fourier import evaluate_series, resize_harmonics, sample_period
@@ -101,8 +102,9 @@ class Stability(Described):
         return f"{self.verdict}{reason_text}, {multiplier_text}, uncertainty {self.uncertainty:.2g}"
 
 
+@keep_old_attribute_names(still="is_still")
 @dataclass(frozen=True, repr=False)
-class PeriodicSolution(Wave, ObservedMotion, Described):
+class PeriodicSolution(PeriodicMotion, ObservedMotion, Described):
     """Steady vibration with contact, as a Fourier series.
 
         u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t),    w = omega / subharmonic,    k = 1 .. H
@@ -161,8 +163,11 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     def __post_init__(self) -> None:
         if self.assessment is None or not self.assessment.holds_for(self):
-            wave = Wave(
-                **{wave_field.name: getattr(self, wave_field.name) for wave_field in fields(Wave)}
+            wave = PeriodicMotion(
+                **{
+                    wave_field.name: getattr(self, wave_field.name)
+                    for wave_field in fields(PeriodicMotion)
+                }
             )
             object.__setattr__(self, "assessment", Assessment(wave))
 
@@ -206,7 +211,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     def yield_records_of_row_products(
         self, rows: np.ndarray, instants: int | None = None
-    ) -> Iterator[Record]:
+    ) -> Iterator[MotionRecord]:
         """Yield the motion's :class:`Record`, at equally spaced instants of the period.
 
         Parameters
@@ -218,10 +223,10 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
             :meth:`instants` has.
         """
         friction_coefficient, static_motion_per_force = friction_coefficient_of(self.contact), None
-        if self.static_above is not None and not self.still:
+        if self.static_above is not None and not self.is_still:
             static_motion_per_force = rows @ self._static_displacement_per_force
         motion_coefficients = self.structure.sum_over_ranks(
-            self._displacement_rows_mean_if_still @ rows.T
+            self._denoised_displacement_coefficients @ rows.T
         )
 
         def evaluate_at(period_fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -252,7 +257,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         row_products, gap, force = motion_gap_and_force(
             *self.basis_gaps_and_forces_over_period(n_instants)
         )
-        yield Record(
+        yield MotionRecord(
             self.omega, self.subharmonic, self.period * period_fractions, motion_coefficients,
             row_products, gap, force, structure=self.structure,
             friction_coefficient=friction_coefficient,
@@ -264,15 +269,15 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         )  # fmt: skip
 
     @property
-    def _displacement_rows_mean_if_still(self) -> np.ndarray:
+    def _denoised_displacement_coefficients(self) -> np.ndarray:
         """Displacement coefficients, without rounding if nothing vibrates: (2H+1, n_local) [m].
 
-        If the solution is :attr:`still`, all coefficients except the mean are zero.
+        If the solution is :attr:`is_still`, all coefficients except the mean are zero.
         """
         coefficient_rows = self.displacement_coefficients
         return (
             resize_harmonics(coefficient_rows[:1], self.harmonics)
-            if self.still
+            if self.is_still
             else coefficient_rows
         )
 
@@ -281,7 +286,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
         ``dofs`` are dof numbers; None stands for the watched dof.
         """
-        return self.structure.values_at(self._displacement_rows_mean_if_still, dofs)
+        return self.structure.values_at(self._denoised_displacement_coefficients, dofs)
 
     @cached_property
     def breathes(self) -> bool:
@@ -293,14 +298,26 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         return bool(np.any(is_closed.any(axis=0) & ~is_closed.all(axis=0)))
 
     @cached_property
-    def still(self) -> bool:
+    def is_still(self) -> bool:
         """True if the load is constant and the motion is rounding error (collective)."""
         coefficient_rows = self.displacement_coefficients
-        load_motion_and_mean = self.structure.force[1:], coefficient_rows[1:], coefficient_rows[:1]
-        square_sums = self.structure.sum_over_ranks(
-            np.array([np.sum(coefficient_part**2) for coefficient_part in load_motion_and_mean])
+        load_motion_and_mean_coefficients = (
+            self.structure.force[1:],
+            coefficient_rows[1:],
+            coefficient_rows[:1],
         )
-        return bool(square_sums[0] == 0.0 and square_sums[1] <= NEGLIGIBLE**2 * square_sums[2])
+        square_sums = self.structure.sum_over_ranks(
+            np.array(
+                [
+                    np.sum(coefficient_part**2)
+                    for coefficient_part in load_motion_and_mean_coefficients
+                ]
+            )
+        )
+        return bool(
+            square_sums[0] == 0.0
+            and square_sums[1] <= STIFFNESS_SOLUTION_ROUNDING**2 * square_sums[2]
+        )
 
     def displacement_field(self, time: np.ndarray) -> np.ndarray:
         """Return the displacement of the whole structure at times [s] (collective).
@@ -333,8 +350,8 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         }
         columns_by_name |= self.face_indicators
         columns_by_name |= {
-            f"{part_name}_error": part_error
-            for part_name, part_error in self.report.to_dict().items()
+            f"{error_part_name}_error": part_error
+            for error_part_name, part_error in self.report.to_dict().items()
         }
         columns_by_name["penetration_share"] = columns_by_name.pop("penetration_error")
         if self.stability is not None:
@@ -452,7 +469,7 @@ class Solver:
         initial: PeriodicSolution | None,
         *,
         with_whole_budget: bool = True,
-        more_modes: MoreModes | None = None,
+        more_modes: MoreModesComparison | None = None,
     ) -> tuple[Search, PeriodicSolution]:
         """Search for a solution of the problem.
 
@@ -462,7 +479,7 @@ class Solver:
             Neighbouring solution at which the search starts; None: the linear solution.
         with_whole_budget : bool
             False: the search may use a quarter of its iterations.
-        more_modes : MoreModes, optional
+        more_modes : MoreModesComparison, optional
             Nearest orbit and its motion with more modes, if known.
 
         Returns
@@ -477,14 +494,15 @@ class Solver:
             1.0 if with_whole_budget else 1.0 / len(SearchOptions.guess_harmonic_counts)
         )
         try:
-            problem = self.problem.with_weight(compliance_model)
+            problem = self.problem.with_projection_weight(compliance_model)
             search, end_point, wave = replace(self, problem=problem).search_point_and_wave(
                 compliance_model, initial, budget_fraction
             )
             solution = solution_of(
                 problem, end_point, status=search.status, has_converged=search.has_converged,
                 assessment=Assessment(
-                    wave, source_orbit=more_modes.nearest_orbit if more_modes else search.orbit,
+                    wave,
+                    source_orbit=more_modes.orbit_with_fewer_modes if more_modes else search.orbit,
                     more_modes=more_modes,
                 ),
             )  # fmt: skip
@@ -497,7 +515,7 @@ class Solver:
         compliance_model: ComplianceModel,
         initial: PeriodicSolution | None,
         budget_fraction: float = 1.0,
-    ) -> tuple[Search, ContactPoint, Wave]:
+    ) -> tuple[Search, ContactPoint, PeriodicMotion]:
         """Search for a solution of the harmonic-balance equations.
 
         Parameters
@@ -515,20 +533,22 @@ class Solver:
             Record of all attempts.
         point : ContactPoint
             Last point, converged or not.
-        wave : Wave
+        wave : PeriodicMotion
             Motion at the point.
         """
         problem = self.problem
         system, start_slow_gaps = problem.system(compliance_model), []
         if initial is not None:
             n_periods = problem.subharmonic // initial.subharmonic
-            gap_and_force_rows = split_rows_of_pairs(
+            initial_gap_and_force_coefficients = split_pairs_into_layers(
                 problem.contact, initial.row_gap_coefficients, initial.row_force_coefficients
             )
             if (
-                gap_and_force_rows[0].shape[1] == system.shape[1]
+                initial_gap_and_force_coefficients[0].shape[1] == system.shape[1]
             ):  # False: the initial solution has no friction
-                start_slow_gaps.append(system.slow_gap(*gap_and_force_rows, n_periods))
+                start_slow_gaps.append(
+                    system.gap_without_static_part(*initial_gap_and_force_coefficients, n_periods)
+                )
         search = Search(system, problem, self.residual_tolerance, budget_fraction)
         point = search.solve(*start_slow_gaps)
         # The kernel's points do not know the forces.

@@ -23,7 +23,7 @@ from fenics_crack.basics.errors import DISK_FULL_ERROR_NUMBERS, InputError, Writ
 
 DEVICE_FOLDERS = "/dev", "/dev/fd", "/proc/self/fd"
 """Folders of devices and open files, which are written directly."""
-REPLACED_FILES_FOLDER_NAME = "before"
+BACKUP_FOLDER_NAME = "before"
 """Name of the folder with replaced files, below the folder of the new files."""
 
 
@@ -48,8 +48,8 @@ def write_file_whole(path: str | Path, content: bytes | str, key: str = "path") 
     """
     content_bytes = content.encode() if isinstance(content, str) else content
     if os.path.dirname(os.path.abspath(path)) in DEVICE_FOLDERS:
-        with report_write_errors(path, key), open(path, "wb") as device_file:
-            device_file.write(content_bytes)
+        with report_write_errors(path, key), open(path, "wb") as open_device_file:
+            open_device_file.write(content_bytes)
         return
     with partial_file(path, key) as hidden_path, open(hidden_path, "wb") as file:
         file.write(content_bytes)
@@ -90,14 +90,14 @@ def complete_files_together() -> Iterator[contextlib.ExitStack]:
         A file cannot be written; for a full disk a WriteError.
     """
     with contextlib.ExitStack() as file_stack:
-        _OPEN_FILE_STACKS.append(file_stack)
+        _UNFINISHED_FILE_STACKS.append(file_stack)
         try:
             yield file_stack
         finally:
-            _OPEN_FILE_STACKS.remove(file_stack)
+            _UNFINISHED_FILE_STACKS.remove(file_stack)
 
 
-_OPEN_FILE_STACKS: list[contextlib.ExitStack] = []
+_UNFINISHED_FILE_STACKS: list[contextlib.ExitStack] = []
 """Unfinished files of each block of :func:`complete_files_together`, the innermost last."""
 
 
@@ -126,7 +126,9 @@ def partial_file(
     """
     with contextlib.ExitStack() as single_file_stack:
         file_stack = (
-            _OPEN_FILE_STACKS[-1] if _OPEN_FILE_STACKS and not must_be_new else single_file_stack
+            _UNFINISHED_FILE_STACKS[-1]
+            if _UNFINISHED_FILE_STACKS and not must_be_new
+            else single_file_stack
         )
         file_stack.enter_context(report_write_errors(path, key))
         hidden_path = file_stack.enter_context(
@@ -159,7 +161,7 @@ def _yield_hidden_path(final_path: Path, *, must_be_new: bool = False) -> Iterat
             hidden_path.unlink()
 
 
-def keep_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bool:
+def back_up_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bool:
     """Keep some files from a folder in another folder, as links or copies.
 
     Parameters
@@ -195,11 +197,13 @@ def keep_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bo
                 os.link(folder / name, hidden_path)  # a new file takes the place of the first name
             except OSError:  # a file system without links
                 shutil.copy2(folder / name, hidden_path)
-    for missing_file_name in {*file_names} - {*existing_file_names} if existing_file_names else ():
-        if (kept_folder / missing_file_name).is_symlink() or not (
-            kept_folder / missing_file_name
+    for name_without_file_in_folder in (
+        {*file_names} - {*existing_file_names} if existing_file_names else ()
+    ):
+        if (kept_folder / name_without_file_in_folder).is_symlink() or not (
+            kept_folder / name_without_file_in_folder
         ).is_dir():
-            (kept_folder / missing_file_name).unlink(missing_ok=True)
+            (kept_folder / name_without_file_in_folder).unlink(missing_ok=True)
     return bool(existing_file_names)
 
 
@@ -222,15 +226,15 @@ def replace_files(file_names: Sequence[str], folder: Path, text_by_name: Mapping
     InputError
         A file cannot be written, or the inner folder is a link or a file.
     """
-    prepare_folder(folder, (REPLACED_FILES_FOLDER_NAME,), "folder")
+    make_or_check_results_folder(folder, (BACKUP_FOLDER_NAME,), "folder")
     with report_write_errors(folder, "folder"):
-        keep_files(file_names, folder, folder / REPLACED_FILES_FOLDER_NAME)
+        back_up_files(file_names, folder, folder / BACKUP_FOLDER_NAME)
         write_files_together((folder / name, content) for name, content in text_by_name.items())
         for name in {*file_names} - {*text_by_name}:
             (folder / name).unlink(missing_ok=True)
 
 
-def prepare_folder(
+def make_or_check_results_folder(
     folder: Path, inner_folder_names: Iterable[str] = (), key: str = "--output"
 ) -> None:
     """Make a folder for results, or check an existing folder.
@@ -250,14 +254,14 @@ def prepare_folder(
         No file can be written in the folder, or an inner folder is a link or a file.
     """
     for name in inner_folder_names:
-        check_inner_folder(folder / name, key)
+        check_is_no_link_or_file(folder / name, key)
     with report_write_errors(folder, key, "a folder that can be written"):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
 
 
-def check_inner_folder(folder: Path, key: str = "path") -> None:
+def check_is_no_link_or_file(folder: Path, key: str = "path") -> None:
     """Raise InputError if an inner folder for results is a link or a file.
 
     A missing folder is allowed; ``key`` names the option in the error.

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 from fenics_crack.basics.atomic_files import report_write_errors, write_file_whole
 from fenics_crack.basics.machine import find_c_compiler
-from fenics_crack.basics.progress import LOGGER
+from fenics_crack.basics.progress import USER_MESSAGE_LOGGER
 
 if TYPE_CHECKING:
     from fenics_crack.basics.ranks import MPI, Result
@@ -70,7 +70,7 @@ def _set_private_folder(variable_name: str, unusable_path: Path, reason: str) ->
         check_private_folder(private_path, makes_folder=False)
     os.environ[variable_name] = str(private_path)
     # Python prints a warning without a handler.
-    LOGGER.warning(
+    USER_MESSAGE_LOGGER.warning(
         "%s cannot be used for caches (%s), and %s is used instead; nothing needs to be done, "
         "unless you prefer another folder: set %s",
         unusable_path,
@@ -107,15 +107,19 @@ def check_private_folder(
     OSError
         Others can write the folder, it cannot be written, or it has no room.
     """
-    folder = folder_path.resolve()
-    for ancestor in (*reversed(folder.parents), folder) if makes_folder else ():
+    resolved_folder = folder_path.resolve()
+    for ancestor in (*reversed(resolved_folder.parents), resolved_folder) if makes_folder else ():
         ancestor.mkdir(mode=0o700, exist_ok=True)
     folders_with_status = [
-        (ancestor, ancestor.stat()) for ancestor in (folder, *folder.parents) if ancestor.exists()
+        (ancestor, ancestor.stat())
+        for ancestor in (resolved_folder, *resolved_folder.parents)
+        if ancestor.exists()
     ]
     for ancestor, folder_status in folders_with_status:
         is_sticky = folder_status.st_mode & 0o1000
-        forbidden_bits = forbidden_mode_bits if ancestor == folder else (0 if is_sticky else 0o22)
+        forbidden_bits = (
+            forbidden_mode_bits if ancestor == resolved_folder else (0 if is_sticky else 0o22)
+        )
         if folder_status.st_mode & forbidden_bits or folder_status.st_uid not in (0, os.geteuid()):
             raise OSError(0, f"others can write {ancestor}")
     with tempfile.TemporaryFile(dir=folders_with_status[0][0]) as temporary_file:
@@ -127,7 +131,7 @@ def check_private_folder(
                 0,
                 min(2**22, resource.getrlimit(resource.RLIMIT_FSIZE)[0] % 2**64),
             )
-    return folder
+    return resolved_folder
 
 
 # --- compiled forms -------------------------------------------------------------------------------

@@ -12,11 +12,11 @@ from enum import IntEnum
 from numbers import Integral, Real
 from typing import Any
 
-N_FREQUENCIES_PER_CRACK_STATE = 6
+N_NATURAL_MODES_PER_CRACK_STATE = 6
 """Number of natural frequencies that are computed for the open and for the bonded crack."""
 MAX_CONTACT_SAMPLES_PER_PERIOD = 2**20
 """Maximum instants of a period at which the contact force may be evaluated."""
-N_RECORDED_PERIODS = 4
+N_RECORDED_PERIODS_OF_INTEGRATION = 4
 """Number of final periods in a time integration that commands record; extremes come from them."""
 MAX_HARMONIC_ORDER = 100
 """Maximum order of a load's harmonics, and maximum when a curve or a case adds harmonics.
@@ -218,15 +218,20 @@ def check_rayleigh_damping_ratios(
     damping_ratios, omegas : two floats each
         Damping ratios, and the frequencies [rad/s] in the same order.
     """
-    (low_omega, low_ratio), (high_omega, high_ratio) = sorted(
+    (low_omega, ratio_at_low_omega), (high_omega, ratio_at_high_omega) = sorted(
         zip(omegas, damping_ratios, strict=True)
     )
-    min_allowed_ratio = low_ratio * (low_omega / high_omega)
-    max_allowed_ratio = low_ratio * (high_omega / low_omega)
-    if not min_allowed_ratio * (1.0 - 1e-15) <= high_ratio <= max_allowed_ratio * (1.0 + 1e-15):
+    min_ratio_at_high_omega = ratio_at_low_omega * (low_omega / high_omega)
+    max_ratio_at_high_omega = ratio_at_low_omega * (high_omega / low_omega)
+    if (
+        not min_ratio_at_high_omega * (1.0 - 1e-15)
+        <= ratio_at_high_omega
+        <= max_ratio_at_high_omega * (1.0 + 1e-15)
+    ):
         requirement_text = (
             "ratios with which both Rayleigh coefficients are >= 0: for "
-            f"{low_ratio:g} at {low_omega:g} rad/s, a ratio from {min_allowed_ratio:g} to "
-            f"{max_allowed_ratio:g} at {high_omega:g} rad/s"
+            f"{ratio_at_low_omega:g} at {low_omega:g} rad/s, a ratio from "
+            f"{min_ratio_at_high_omega:g} to "
+            f"{max_ratio_at_high_omega:g} at {high_omega:g} rad/s"
         )
         raise InputError(key, tuple(damping_ratios), requirement_text)

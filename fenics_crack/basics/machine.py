@@ -34,7 +34,7 @@ THREAD_COUNT_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_T
 """Environment variables that set the number of OpenBLAS's threads."""
 MPIRUN_ENVIRONMENT_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Environment variables that mpirun sets for each process before MPI is started."""
-DEBIAN_VERSION_MODULES = ("numpy", "mpi4py")
+MODULES_REQUIRING_DEBIAN_VERSION = ("numpy", "mpi4py")
 """Modules that must have Debian's version for Debian's DOLFINx, PETSc and SciPy."""
 ONE_PROCESS_MPI_SETTINGS = {
     "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self", "OMPI_MCA_ess_singleton_isolated": "1",
@@ -71,7 +71,7 @@ def check_debian_module_versions() -> None:
     version_by_module = (
         dict(re.findall("(.+)==(.+)", pin_file.read_text())) if pin_file.exists() else {}
     )
-    for module_name in version_by_module.keys() & DEBIAN_VERSION_MODULES:
+    for module_name in version_by_module.keys() & MODULES_REQUIRING_DEBIAN_VERSION:
         module_path = getattr(find_spec(module_name), "origin", None)
         if module_path is None or module_path.startswith("/usr/lib/python3/"):
             continue
@@ -219,9 +219,9 @@ def run_single_threaded() -> Iterator[None]:
                     openblas("set_num_threads", 1)
         if os.environ.get(THREAD_COUNT_VARIABLES[0], "1") == "1":
             for openmp_library in _load_openmp_libraries(len(sys.modules)):
-                previous_max_level = openmp_library.omp_get_max_active_levels()
+                previous_max_active_levels = openmp_library.omp_get_max_active_levels()
                 restored_settings.callback(
-                    openmp_library.omp_set_max_active_levels, previous_max_level
+                    openmp_library.omp_set_max_active_levels, previous_max_active_levels
                 )
                 openmp_library.omp_set_max_active_levels(0)
         yield
@@ -339,7 +339,10 @@ def describe_resource_shortage(error: Exception) -> str:
     Any error counts as a lack of memory if the peak is above 90 % of the process's address space
     limit.
     """
-    is_reported = any(shortage_text in str(error) for shortage_text in OUT_OF_MEMORY_ERROR_TEXTS)
+    is_reported = any(
+        out_of_memory_error_text in str(error)
+        for out_of_memory_error_text in OUT_OF_MEMORY_ERROR_TEXTS
+    )
     # Few libraries name their need.
     is_near_limit = process_memory("VmPeak") > 0.9 * address_space_limit()
     if isinstance(error, MemoryError) or is_reported or is_near_limit:
@@ -353,7 +356,7 @@ def describe_resource_shortage(error: Exception) -> str:
 
 
 @contextmanager
-def set_one_process_variables() -> Iterator[None]:
+def set_one_process_mpi_variables() -> Iterator[None]:
     """Set environment variables during a block, so that Open MPI can start without mpirun.
 
     The block starts MPI. The variables are :data:`ONE_PROCESS_MPI_SETTINGS`; one that the user has

@@ -6,8 +6,8 @@ the columns of sweeps, ``[output] quantities``, stated errors and the list in th
 from this table.
 
 A function to read a number takes the object at the place. :mod:`fenics_crack.motion.motions` has
-the classes ``PointDisplacement`` and ``CrackFaces``, :mod:`fenics_crack.study.observer` has
-``CrackTipHistory`` and ``ClampReactions``.
+the classes ``PointDisplacement`` and ``CrackFaceGapsAndForces``, :mod:`fenics_crack.study.observer`
+has ``CrackTipHistory`` and ``ClampReactions``.
 """
 
 from __future__ import annotations
@@ -26,18 +26,24 @@ class Place(Enum):
 
     WATCHED_POINT = "each watched point and direction"
     CRACK_FACES = "all crack faces"
-    NEAREST_MODE = "the mode whose bilinear frequency is nearest to the load frequency"
+    MODE_NEAREST_TO_LOAD_FREQUENCY = (
+        "the mode whose bilinear frequency is nearest to the load frequency"
+    )
     MOST_LOADED_TIP = "the crack tip, or front station, with the largest effective range of K_I"
-    ELLIPSE_ENDS = "the deepest place and the ends of a half-ellipse"
+    DEEPEST_PLACE_AND_ELLIPSE_ENDS = "the deepest place and the ends of a half-ellipse"
     CLAMP = "the clamp"
 
     @property
     def is_made_on_request(self) -> bool:
         """True if numbers at this place are computed only for a scene that requests them."""
-        return self not in (Place.WATCHED_POINT, Place.CRACK_FACES, Place.NEAREST_MODE)
+        return self not in (
+            Place.WATCHED_POINT,
+            Place.CRACK_FACES,
+            Place.MODE_NEAREST_TO_LOAD_FREQUENCY,
+        )
 
 
-class ObservableFlag(Flag):
+class ObservableTableFlag(Flag):
     """Tables that show an observable by default, and conditions for computing it."""
 
     IN_FILES_ONLY = 0
@@ -63,8 +69,8 @@ class ObservableFlag(Flag):
 (
     IN_PRINTED_TABLE, IN_SPECIAL_POINTS_TABLE, IN_SWEEP_PICTURES, STATED_WITH_ERROR,
     REQUIRES_FRICTION, REQUIRES_GROWTH_LAW, REQUIRES_SOLID,
-) = ObservableFlag  # fmt: skip
-IN_FILES_ONLY = ObservableFlag.IN_FILES_ONLY
+) = ObservableTableFlag  # fmt: skip
+IN_FILES_ONLY = ObservableTableFlag.IN_FILES_ONLY
 PRINTED_WITH_ERROR = IN_PRINTED_TABLE | STATED_WITH_ERROR
 IN_ALL_TABLES = PRINTED_WITH_ERROR | IN_SPECIAL_POINTS_TABLE | IN_SWEEP_PICTURES
 
@@ -82,7 +88,7 @@ class Observable:
     read_number_at_place : callable, optional
         Function that takes an object with results at the place, and returns the number. The default
         ``float`` serves if the object is the number itself.
-    flags : ObservableFlag
+    flags : ObservableTableFlag
         Tables that show the number by default, and conditions for computing it, such as friction.
     """
 
@@ -90,7 +96,7 @@ class Observable:
     words: str
     unit: str
     read_number_at_place: Callable[[Any], Any] = float
-    flags: ObservableFlag = IN_FILES_ONLY
+    flags: ObservableTableFlag = IN_FILES_ONLY
 
     def __repr__(self) -> str:
         return f"{self.words} [{self.unit}]"
@@ -106,11 +112,11 @@ _make_point_row, _make_face_row = (
     partial(Observable, Place.CRACK_FACES),
 )
 _make_mode_row, _make_tip_row = (
-    partial(Observable, Place.NEAREST_MODE),
+    partial(Observable, Place.MODE_NEAREST_TO_LOAD_FREQUENCY),
     partial(Observable, Place.MOST_LOADED_TIP),
 )
 _make_ellipse_row = partial(
-    Observable, Place.ELLIPSE_ENDS, unit="Pa m^0.5", flags=REQUIRES_GROWTH_LAW
+    Observable, Place.DEEPEST_PLACE_AND_ELLIPSE_ENDS, unit="Pa m^0.5", flags=REQUIRES_GROWTH_LAW
 )
 _make_clamp_row = partial(Observable, Place.CLAMP)
 
@@ -129,11 +135,11 @@ class Observables:
         lambda point: point.amplitude, IN_ALL_TABLES)
     mean: Any = _make_point_row("mean displacement", "m", lambda point: point.mean)
     harmonic_1: Any = _make_point_row("amplitude at the load frequency", "m",
-        lambda point: point.harmonic(1))
+        lambda point: point.amplitude_at_load_multiple(1))
     harmonic_2: Any = _make_point_row("amplitude at twice the load frequency", "m",
-        lambda point: point.harmonic(2))
+        lambda point: point.amplitude_at_load_multiple(2))
     harmonic_3: Any = _make_point_row("amplitude at three times the load frequency", "m",
-        lambda point: point.harmonic(3))
+        lambda point: point.amplitude_at_load_multiple(3))
     ratio_2_1: Any = _make_point_row("harmonic ratio 2/1", "1", lambda point: point.ratio(2),
         IN_ALL_TABLES)
     ratio_3_1: Any = _make_point_row("harmonic ratio 3/1", "1", lambda point: point.ratio(3),
@@ -191,17 +197,18 @@ OBSERVABLES_BY_NAME: dict[str, Observable] = {
     "delta_K_equivalent": _make_tip_row("range of K_I at R = 0 with the same crack growth",
         "Pa m^0.5", lambda tip: tip.equivalent_range, REQUIRES_GROWTH_LAW),
     "delta_K_effective_deepest": _make_ellipse_row("range of K_I while open, at the deepest place",
-        read_number_at_place=lambda ellipse: np.ptp(ellipse.deepest_history.K_I.clip(0.0))),
+        read_number_at_place=lambda ellipse: np.ptp(
+            ellipse.deepest_intensity_history.K_I.clip(0.0))),
     "delta_K_effective_surface": _make_ellipse_row("range of K_I while open, mean of the ends",
         read_number_at_place=lambda ellipse: np.mean(
-            [np.ptp(end.K_I.clip(0.0)) for end in ellipse.end_histories])),
+            [np.ptp(end.K_I.clip(0.0)) for end in ellipse.end_intensity_histories])),
     "delta_K_equivalent_deepest": _make_ellipse_row(
         "range of K_I at R = 0 with the same growth in depth",
-        read_number_at_place=lambda ellipse: ellipse.deepest_history.equivalent_range),
+        read_number_at_place=lambda ellipse: ellipse.deepest_intensity_history.equivalent_range),
     "delta_K_equivalent_surface": _make_ellipse_row(
         "range of K_I at R = 0 with the same growth along the face",
         read_number_at_place=lambda ellipse: np.mean(
-            [end.equivalent_range for end in ellipse.end_histories])),
+            [end.equivalent_range for end in ellipse.end_intensity_histories])),
     "reaction_force": _make_clamp_row("largest force of the clamp", "N",
         lambda reaction: _max_vector_norm(reaction.force)),
     "reaction_moment": _make_clamp_row("largest moment of the clamp, about its centre", "N m",
@@ -214,8 +221,8 @@ OBSERVABLES_BY_NAME: dict[str, Observable] = {
 @cache
 def observable_names(
     *places: Place,
-    required_flags: ObservableFlag = IN_FILES_ONLY,
-    excluded_flags: ObservableFlag = IN_FILES_ONLY,
+    required_flags: ObservableTableFlag = IN_FILES_ONLY,
+    excluded_flags: ObservableTableFlag = IN_FILES_ONLY,
 ) -> tuple[str, ...]:
     """Return the names of observables at given places, with given flags.
 
@@ -223,9 +230,9 @@ def observable_names(
     ----------
     places : Place
         Places; none given means all places.
-    required_flags : ObservableFlag
+    required_flags : ObservableTableFlag
         Flags that an observable must have, all together.
-    excluded_flags : ObservableFlag
+    excluded_flags : ObservableTableFlag
         Flags that an observable must not have.
     """
     return tuple(
@@ -238,7 +245,7 @@ def observable_names(
 
 
 def read_observables(
-    place: Place, place_object: Any, excluded_flags: ObservableFlag = IN_FILES_ONLY
+    place: Place, place_object: Any, excluded_flags: ObservableTableFlag = IN_FILES_ONLY
 ) -> dict[str, float]:
     """Return the numbers of all observables at a place, by observable name.
 
@@ -249,10 +256,11 @@ def read_observables(
     place_object
         Object with the results at the place, from which :attr:`Observable.read_number_at_place`
         takes each number.
-    excluded_flags : ObservableFlag
+    excluded_flags : ObservableTableFlag
         Observables with any of these flags are left out.
     """
-    names = observable_names(place, excluded_flags=excluded_flags)
+    names_at_place = observable_names(place, excluded_flags=excluded_flags)
     return {
-        name: float(OBSERVABLES_BY_NAME[name].read_number_at_place(place_object)) for name in names
+        name: float(OBSERVABLES_BY_NAME[name].read_number_at_place(place_object))
+        for name in names_at_place
     }

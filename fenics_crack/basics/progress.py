@@ -17,9 +17,9 @@ from typing import Any
 
 PROGRESS_MESSAGE_INTERVAL = 5.0
 """Time between progress messages [s]."""
-LOGGER = logging.getLogger("fenics_crack")
+USER_MESSAGE_LOGGER = logging.getLogger("fenics_crack")
 """Logger of messages for the user: notes, remarks and warnings."""
-_STAGE_LOGGER = LOGGER.getChild("progress")
+_STAGE_LOGGER = USER_MESSAGE_LOGGER.getChild("progress")
 _stage_prefixes: list[str] = []
 _progress_functions: list[Callable[[], str]] = []
 
@@ -119,9 +119,11 @@ class StageLineHandler(logging.Handler):
         while not end_event.wait(PROGRESS_MESSAGE_INTERVAL):
             with self._write_lock:
                 elapsed_seconds = time.perf_counter() - self._start_time
-                progress_texts = [describe_progress() for describe_progress in _progress_functions]
+                additional_progress_texts = [
+                    describe_progress() for describe_progress in _progress_functions
+                ]
                 stage_text = f"  {self._stage_text} ... {elapsed_seconds:.0f} s"
-                progress_text = ", ".join([stage_text, *progress_texts])
+                progress_text = ", ".join([stage_text, *additional_progress_texts])
                 if self._stage_text:
                     self._write(
                         f"\r\033[K{progress_text}" if self._is_terminal else f"{progress_text}\n"
@@ -132,7 +134,7 @@ class StageLineHandler(logging.Handler):
         self._stream.flush()
 
 
-class MessageHandler(logging.StreamHandler):
+class NoteAndWarningLogHandler(logging.StreamHandler):
     """Handler that prints notes, remarks and warnings on standard error during a block.
 
     With ``quiet`` only warnings are printed.
@@ -142,16 +144,16 @@ class MessageHandler(logging.StreamHandler):
         super().__init__()
         self.setLevel(logging.WARNING if quiet else logging.INFO)
 
-    def __enter__(self) -> MessageHandler:
-        LOGGER.addHandler(self)
-        LOGGER.setLevel(logging.INFO)
-        LOGGER.propagate = False  # compilers of forms set up the root's handlers, too
+    def __enter__(self) -> NoteAndWarningLogHandler:
+        USER_MESSAGE_LOGGER.addHandler(self)
+        USER_MESSAGE_LOGGER.setLevel(logging.INFO)
+        USER_MESSAGE_LOGGER.propagate = False  # compilers of forms set up the root's handlers, too
         return self
 
     def __exit__(self, *exception: object) -> None:
-        LOGGER.removeHandler(self)
-        LOGGER.setLevel(logging.NOTSET)
-        LOGGER.propagate = True
+        USER_MESSAGE_LOGGER.removeHandler(self)
+        USER_MESSAGE_LOGGER.setLevel(logging.NOTSET)
+        USER_MESSAGE_LOGGER.propagate = True
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the text of a message; a warning begins with "fenics-crack: warning: "."""

@@ -91,13 +91,14 @@ def list_unread_options() -> list[str]:
     """Return options ``-crack_...`` of the command line that PETSc has not used."""
     from petsc4py import PETSc
 
-    query_option = partial(ctypes.CDLL(PETSc.__file__).PetscOptionsUsed, None)
+    query_if_option_is_used = partial(ctypes.CDLL(PETSc.__file__).PetscOptionsUsed, None)
     is_used_out = ctypes.c_int()
     option_names = [argument for argument in sys.argv[1:] if argument.startswith("-crack_")]
     return [
         option_name
         for option_name in option_names
-        if query_option(option_name[1:].encode(), ctypes.byref(is_used_out)) or not is_used_out
+        if query_if_option_is_used(option_name[1:].encode(), ctypes.byref(is_used_out))
+        or not is_used_out
     ]
 
 

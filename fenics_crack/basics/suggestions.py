@@ -166,10 +166,10 @@ def find_calls_by_synonyms(name: str) -> list[str]:
     name_words = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
     n_matches_by_call = {
         call_text: sum(
-            bool(find_similar_names(name_word, synonym_text.split(), MIN_SAME_WORD_LIKENESS))
+            bool(find_similar_names(name_word, search_words_text.split(), MIN_SAME_WORD_LIKENESS))
             for name_word in name_words
         )
-        for call_text, synonym_text in SEARCH_WORDS_BY_CALL.items()
+        for call_text, search_words_text in SEARCH_WORDS_BY_CALL.items()
     }
     largest_match_count = max(n_matches_by_call.values())
     call_texts = [
@@ -197,14 +197,18 @@ def replacement_question_text(name: str, known_names: Sequence[str]) -> str:
     if name.startswith("_"):  # notebooks and test programs ask for such names of anything
         return ""
     synonym_call_texts = find_calls_by_synonyms(name)
-    verb, _, name_after_verb = name.partition("_")
-    names_with_own_verb = (
-        find_similar_names(f"{OWN_VERB_BY_FOREIGN_VERB[verb]}_{name_after_verb}", known_names)
-        if name_after_verb and verb in OWN_VERB_BY_FOREIGN_VERB
+    first_word_of_name, _, name_without_first_word = name.partition("_")
+    known_names_with_replaced_verb = (
+        find_similar_names(
+            f"{OWN_VERB_BY_FOREIGN_VERB[first_word_of_name]}_{name_without_first_word}", known_names
+        )
+        if name_without_first_word and first_word_of_name in OWN_VERB_BY_FOREIGN_VERB
         else []
     )
-    if names_with_own_verb:
-        return did_you_mean_text([f"fc.{known_name}" for known_name in names_with_own_verb])
+    if known_names_with_replaced_verb:
+        return did_you_mean_text(
+            [f"fc.{known_name}" for known_name in known_names_with_replaced_verb]
+        )
     similar_names = (
         find_similar_names(name, known_names, MIN_SAME_WORD_LIKENESS)
         if synonym_call_texts
@@ -245,7 +249,9 @@ def _class_names_of(value: object) -> set[str]:
     "Iterable", "int" and "float".
     """
     # The name of NumPy's bool_ becomes that of Python's.
-    class_names = {base_class.__name__.removesuffix("_") for base_class in type(value).__mro__}
+    class_names = {
+        value_base_class.__name__.removesuffix("_") for value_base_class in type(value).__mro__
+    }
     abstract_class_by_name: dict[str, Any] = {
         "Mapping": Mapping, "Path": os.PathLike, "None": type(None), "Iterable": Iterable,
         "int": Integral, "float": Real,
@@ -257,7 +263,7 @@ def _class_names_of(value: object) -> set[str]:
     }
 
 
-def fit_argument_to_annotation(
+def check_argument_class_or_unwrap_run(
     key: str, value: Any, annotation: str, known_class_names: Collection[str]
 ) -> Any:
     """Check an argument against its annotation, and return the argument.
@@ -289,8 +295,8 @@ def fit_argument_to_annotation(
     )
     value_class_names = _class_names_of(value)
     comparable_class_names = {*known_class_names, *ARGUMENT_DESCRIPTION_BY_CLASS_NAME}
-    is_checked = {"str"} != {*annotation_class_names} <= comparable_class_names
-    if is_checked and value_class_names.isdisjoint(annotation_class_names):
+    is_annotation_comparable = {"str"} != {*annotation_class_names} <= comparable_class_names
+    if is_annotation_comparable and value_class_names.isdisjoint(annotation_class_names):
         if "Run" in value_class_names and not _class_names_of(value.result).isdisjoint(
             annotation_class_names
         ):
@@ -311,7 +317,7 @@ def fit_argument_to_annotation(
     return value
 
 
-def with_old_names(**new_name_by_old_name: str) -> Callable[[type[Class]], type[Class]]:
+def keep_old_attribute_names(**new_name_by_old_name: str) -> Callable[[type[Class]], type[Class]]:
     """Return a class decorator that keeps old names of attributes as properties.
 
     ``new_name_by_old_name`` has old names as keywords, and new names as values. Reading an old name
@@ -354,7 +360,7 @@ def check_calls(
     find_scene_keys : callable, optional
         Function to return scene keys similar to an unknown argument's name.
     known_class_names : collection of str
-        Class names for :func:`fit_argument_to_annotation`, which checks each argument.
+        Class names for :func:`check_argument_class_or_unwrap_run`, which checks each argument.
 
     Returns
     -------
@@ -367,7 +373,7 @@ def check_calls(
     takes_any_keyword = any(
         parameter.kind is parameter.VAR_KEYWORD for parameter in signature.parameters.values()
     )
-    argument_names = [
+    parameter_names = [
         name
         for name, parameter in signature.parameters.items()
         if parameter.kind is not parameter.VAR_KEYWORD and name not in ("self", "cls")
@@ -378,7 +384,7 @@ def check_calls(
         if parameter.kind is parameter.KEYWORD_ONLY
     }
     argument_texts = [
-        f"{name}=..." if name in keyword_only_names else name for name in argument_names
+        f"{name}=..." if name in keyword_only_names else name for name in parameter_names
     ]
 
     @functools.wraps(function)
@@ -400,7 +406,7 @@ def check_calls(
                 ]
             else:
                 reason_text = f"got an unexpected keyword argument {unknown_keyword!r}"
-                suggestions = find_similar_or_longer_names(unknown_keyword, argument_names)
+                suggestions = find_similar_or_longer_names(unknown_keyword, parameter_names)
                 if not suggestions and find_scene_keys is not None:
                     suggestions = [
                         f'scene.replace({{"{key}": ...}})'
@@ -417,7 +423,9 @@ def check_calls(
             check_communicator(arguments["comm"])
         for name, value in arguments.items():
             annotation = str(signature.parameters[name].annotation)
-            arguments[name] = fit_argument_to_annotation(name, value, annotation, known_class_names)
+            arguments[name] = check_argument_class_or_unwrap_run(
+                name, value, annotation, known_class_names
+            )
         return function(*bound_arguments.args, **bound_arguments.kwargs)
 
     return cast(Function, call)

@@ -22,7 +22,7 @@ import numpy as np
 from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import Exit
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 
 MAX_PRINTED_ROWS = 40
 """Maximum rows of a table as text and as HTML; files have all rows."""
@@ -33,7 +33,7 @@ RAD_PER_TURN = 2.0 * math.pi
 RAD_PER_S_PER_RPM = RAD_PER_TURN / 60.0
 """Factor from revolutions per minute to rad/s."""
 
-_DICT_ENTRY_NAMES_BY_UNIT = {
+_NAMES_OF_DICT_ENTRIES_BY_UNIT = {
     "rad/s": "omega omega_partly speed",
     "Hz": "frequency frequency_open frequency_tied frequency_partly frequency_bilinear "
     "frequency_error",
@@ -45,12 +45,16 @@ _DICT_ENTRY_NAMES_BY_UNIT = {
 }
 UNIT_BY_DICT_ENTRY_NAME = {
     **{name: observable.unit for name, observable in OBSERVABLES_BY_NAME.items()},
-    **{name: unit for unit, names in _DICT_ENTRY_NAMES_BY_UNIT.items() for name in names.split()},
+    **{
+        name: unit
+        for unit, names in _NAMES_OF_DICT_ENTRIES_BY_UNIT.items()
+        for name in names.split()
+    },
 }
 """Units for the entries of ``to_dict`` by name; all further entries have none."""
 
 
-@with_old_names(formatted="format_as")
+@keep_old_attribute_names(formatted="format_as")
 @dataclass(frozen=True)
 class Table:
     """Hold a table with named columns of numbers and words.
@@ -80,7 +84,10 @@ class Table:
         """
         headings = [heading_with_unit(name, unit_by_name.get(name, "")) for name in values_by_name]
         if any(isinstance(column_or_value, list) for column_or_value in values_by_name.values()):
-            return cls(headings, [list(row) for row in zip(*values_by_name.values(), strict=True)])
+            return cls(
+                headings,
+                [list(row_values) for row_values in zip(*values_by_name.values(), strict=True)],
+            )
         return cls(("quantity", "value"), list(zip(headings, values_by_name.values(), strict=True)))
 
     def format_as(self, format_name: str) -> str:
@@ -92,15 +99,15 @@ class Table:
 
     def html(self, caption: str) -> str:
         """Return the table as HTML with a caption, for a notebook; at most 40 rows."""
-        tagged_rows = [("th", self.columns)]
-        tagged_rows += [
+        cell_tags_and_rows = [("th", self.columns)]
+        cell_tags_and_rows += [
             ("td", [_value_text(value) for value in row]) for row in self.rows[:MAX_PRINTED_ROWS]
         ]
         if len(self.rows) > MAX_PRINTED_ROWS:
             caption += f"; the first {MAX_PRINTED_ROWS} of {len(self.rows)} rows"
         row_html_texts = (
             "".join(f"<{cell_tag}>{html.escape(cell)}</{cell_tag}>" for cell in cells)
-            for cell_tag, cells in tagged_rows
+            for cell_tag, cells in cell_tags_and_rows
         )
         rows_html = "".join(f"<tr>{row_html}</tr>" for row_html in row_html_texts)
         return f"<table><caption>{html.escape(caption)}</caption>{rows_html}</table>"
@@ -119,9 +126,9 @@ class Table:
         """Return the table in aligned columns; at most 40 rows."""
         printed_rows = self.rows[:MAX_PRINTED_ROWS]
         text_columns = []
-        for column_index, heading in enumerate(self.columns):
+        for column_index, column_heading in enumerate(self.columns):
             column_values = [row[column_index] for row in printed_rows]
-            column_texts = [heading, *map(_value_text, column_values)]
+            column_texts = [column_heading, *map(_value_text, column_values)]
             column_width = max(map(len, column_texts))
             column_texts.insert(1, column_width * "-")
             is_numeric = all(isinstance(value, float | int | np.number) for value in column_values)
@@ -131,7 +138,10 @@ class Table:
                     for text in column_texts
                 ]
             )
-        lines = ["  ".join(line_texts).rstrip() for line_texts in zip(*text_columns, strict=True)]
+        lines = [
+            "  ".join(line_cell_texts).rstrip()
+            for line_cell_texts in zip(*text_columns, strict=True)
+        ]
         if len(self.rows) > len(printed_rows):
             lines.append(f"... and {len(self.rows) - len(printed_rows)} more")
         return "\n".join(lines) + "\n"
@@ -156,7 +166,7 @@ class Conclusion:
 
     Attributes
     ----------
-    outcome : str
+    computation_outcome : str
         How the computation ended: "solved", "not converged".
     answer : str
         Main number of the result, and the accuracy.
@@ -166,18 +176,20 @@ class Conclusion:
         Verdict on the stability, and facts that the numbers do not show. Empty texts are left out.
     """
 
-    outcome: str
+    computation_outcome: str
     answer: str = ""
     unknown_error_reason: str = ""
     further_clauses: Sequence[str] = ()
 
     def sentence(self, n_warnings: int = 0, n_remarks: int = 0) -> str:
         """Return the closing sentence, with the numbers of warnings and remarks at the end."""
-        count_by_noun = {"warning": n_warnings, "remark": n_remarks}
+        message_count_by_noun = {"warning": n_warnings, "remark": n_remarks}
         warning_count_text = " and ".join(
-            format_count(count, noun) for noun, count in count_by_noun.items() if count
+            format_count(n_messages, message_noun)
+            for message_noun, n_messages in message_count_by_noun.items()
+            if n_messages
         )
-        doubt_clause = (
+        unknown_error_clause = (
             f"the error is unknown: {self.unknown_error_reason}"
             if self.unknown_error_reason
             else ""
@@ -186,9 +198,9 @@ class Conclusion:
             filter(
                 None,
                 (
-                    self.outcome,
+                    self.computation_outcome,
                     self.answer,
-                    doubt_clause,
+                    unknown_error_clause,
                     *self.further_clauses,
                     warning_count_text,
                 ),
@@ -252,7 +264,7 @@ class Report:
         return Exit.TOLERANCE_MISSED if self.misses_tolerance else Exit.DONE
 
 
-@with_old_names(said="build_conclusion")
+@keep_old_attribute_names(said="build_conclusion")
 class Described:
     """Base class for a result that can show itself: as a line, a table or a dict."""
 
@@ -427,15 +439,15 @@ def add_frequency_entries(values_by_name: dict[str, Any]) -> dict[str, Any]:
     After "omega" [rad/s] comes "frequency" [Hz], after "speed" [rad/s] comes "rpm" [1/min]. The
     values are numbers or lists.
     """
-    added_name_and_unit_by_name = {
+    added_name_and_factor_by_name = {
         "omega": ("frequency", RAD_PER_TURN),
         "speed": ("rpm", RAD_PER_S_PER_RPM),
     }
     extended_value_by_name: dict[str, Any] = {}
     for name, value in values_by_name.items():
         extended_value_by_name[name] = value
-        if name in added_name_and_unit_by_name:
-            added_name, rad_per_s_per_added_unit = added_name_and_unit_by_name[name]
+        if name in added_name_and_factor_by_name:
+            added_name, rad_per_s_per_added_unit = added_name_and_factor_by_name[name]
             extended_value_by_name[added_name] = (
                 np.array(value) / rad_per_s_per_added_unit
             ).tolist()

@@ -48,7 +48,7 @@ READER_PROCESS_ENVIRONMENT = {
 }  # fmt: skip
 """Environment variables for a reader process: one thread, no plug-ins."""
 READER_PROGRAM_PATH = Path(__file__).with_name("untrusted_reader.py")
-ENCODING_BY_BYTE_ORDER_MARK = {
+REFUSED_ENCODING_BY_BYTE_ORDER_MARK = {
     codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF32_BE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16",
     codecs.BOM_UTF16_BE: "UTF-16",
 }  # fmt: skip
@@ -59,7 +59,7 @@ COMMA_NUMBER_PATTERN, POINT_NUMBER_PATTERN = (
 """Patterns of numbers with a decimal comma, and with a decimal point."""
 FACTOR_BY_HEADING_UNIT_PREFIX = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
 """Factor from a prefixed unit in a heading to the unit."""
-SI_UNIT_AND_FACTOR_BY_UNIT = {
+SI_UNIT_AND_FACTOR_BY_HEADING_UNIT = {
     "rad": ("rad", 1.0),
     **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0)),
     **{
@@ -184,10 +184,14 @@ def read_utf8_text(path: str | Path) -> str:
         The file has another encoding.
     """
     content = read_regular_file(path)
-    for byte_order_mark, encoding_name in ENCODING_BY_BYTE_ORDER_MARK.items():
-        if content.startswith(byte_order_mark):
+    for (
+        refused_byte_order_mark,
+        refused_encoding_name,
+    ) in REFUSED_ENCODING_BY_BYTE_ORDER_MARK.items():
+        if content.startswith(refused_byte_order_mark):
             raise ValueError(
-                f"it begins with the byte order mark (BOM) of {encoding_name}; save it as UTF-8"
+                f"it begins with the byte order mark (BOM) of {refused_encoding_name}; save it "
+                "as UTF-8"
             )
     return content.decode("utf-8-sig")
 
@@ -238,11 +242,11 @@ def read_numbered_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
         )
     if [cells[0] for _, cells in numbered_rows] == ["", *map(str, range(len(numbered_rows) - 1))]:
         numbered_rows = [(line_number, cells[1:]) for line_number, cells in numbered_rows]
-    text_by_cell = _map_decimal_commas_to_points(
+    point_text_by_comma_cell = _map_decimal_commas_to_points(
         [cell for _, cells in numbered_rows[1:] for cell in cells]
     )
     return [
-        (line_number, [text_by_cell.get(cell, cell) for cell in cells])
+        (line_number, [point_text_by_comma_cell.get(cell, cell) for cell in cells])
         for line_number, cells in numbered_rows
     ]
 
@@ -285,7 +289,9 @@ def convert_heading_to_si(heading: str) -> tuple[str, float]:
     """
     heading_match = re.fullmatch(r"(.*?)\s*[\[(]\s*([^][()]*?)\s*[])]", heading)
     si_unit, factor = (
-        SI_UNIT_AND_FACTOR_BY_UNIT.get(heading_match[2], ("", 1.0)) if heading_match else ("", 1.0)
+        SI_UNIT_AND_FACTOR_BY_HEADING_UNIT.get(heading_match[2], ("", 1.0))
+        if heading_match
+        else ("", 1.0)
     )
     return f"{heading_match[1]} [{si_unit}]" if heading_match and si_unit else heading, factor
 
@@ -316,7 +322,10 @@ def open_lines_and_byte_limit(
     open_function: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(Path(path).suffix)
     max_bytes = file_size if open_function is None else max_allowed_unpacked_bytes(file_size)
     with (open_function or open)(path, "rt", encoding="utf-8", errors=errors) as file:
-        yield file if open_function is None else _yield_limited_lines(file, max_bytes), max_bytes
+        yield (
+            file if open_function is None else _yield_lines_up_to_total_length(file, max_bytes),
+            max_bytes,
+        )
 
 
 def parse_number_rows(
@@ -336,7 +345,7 @@ def parse_number_rows(
         )
 
 
-def _yield_limited_lines(file: TextIO, max_characters: int) -> Iterator[str]:
+def _yield_lines_up_to_total_length(file: TextIO, max_characters: int) -> Iterator[str]:
     """Yield the lines of an unpacked file.
 
     ValueError as soon as the lines have more than ``max_characters`` in sum.
@@ -414,7 +423,7 @@ def run_reader_for_arrays(
 
 
 def _send_request_for_exit_status(
-    reader_file: Path, request_bytes: bytes, array_descriptor: int
+    reader_file: Path, request_bytes: bytes, array_file_descriptor: int
 ) -> int:
     """Send a request to the reader process, and return the exit status of reading.
 
@@ -428,10 +437,10 @@ def _send_request_for_exit_status(
         Python file with the function ``read``.
     request_bytes : bytes
         Request as JSON.
-    array_descriptor : int
+    array_file_descriptor : int
         Descriptor of an open file, into which the copy writes the arrays.
     """
-    descriptor_message = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [array_descriptor])
+    descriptor_message = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [array_file_descriptor])
     for _ in range(2):  # the one that waits may have been killed meanwhile
         reader_socket, answer_bytes = _start_reader(reader_file, os.getpid(), get_ident())[1], b""
         try:

@@ -37,7 +37,7 @@ def serve_requests(reader_file: str, request_socket: socket.socket) -> None:
     with contextlib.suppress(Exception):  # what fails now fails again in the copy
         runpy.run_path(reader_file)
     while True:
-        request_bytes, array_descriptors, *_ = socket.recv_fds(request_socket, 2**16, 1)
+        request_bytes, array_file_descriptors, *_ = socket.recv_fds(request_socket, 2**16, 1)
         if not request_bytes:
             return
         copy_process_id = os.fork()
@@ -46,11 +46,13 @@ def serve_requests(reader_file: str, request_socket: socket.socket) -> None:
             try:
                 end_with_parent()
                 request_socket.close()  # no file answers for the next one
-                read_requested_file(reader_file, array_descriptors[0], json.loads(request_bytes))
+                read_requested_file(
+                    reader_file, array_file_descriptors[0], json.loads(request_bytes)
+                )
                 exit_status = 0
             finally:
                 os._exit(exit_status)
-        os.close(array_descriptors[0])
+        os.close(array_file_descriptors[0])
         request_socket.send(
             str(os.waitstatus_to_exitcode(os.waitpid(copy_process_id, 0)[1])).encode()
         )
@@ -75,7 +77,9 @@ def set_resource_limit(resource_number: int, soft_limit: int, margin: int = 0) -
     resource.setrlimit(resource_number, (min(soft_limit, max(hard_limit - margin, 1)), hard_limit))
 
 
-def read_requested_file(reader_file: str, array_descriptor: int, request_entries: dict) -> None:
+def read_requested_file(
+    reader_file: str, array_file_descriptor: int, request_entries: dict
+) -> None:
     """Read a file, and write the arrays as .npz to a file descriptor.
 
     If the file cannot be read, the only array is "error" with the reason. ``request_entries`` come
@@ -93,7 +97,7 @@ def read_requested_file(reader_file: str, array_descriptor: int, request_entries
         )
     except Exception as error:  # whatever a damaged file leads a library to
         array_by_name = {"error": np.array(str(error) or type(error).__name__)}
-    with os.fdopen(array_descriptor, "wb") as array_file:
+    with os.fdopen(array_file_descriptor, "wb") as array_file:
         np.savez(array_file, **array_by_name)
 
 

@@ -15,7 +15,7 @@ from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, ConvergenceError, Inp
 from fenics_crack.basics.observables import (
     IN_PRINTED_TABLE,
     OBSERVABLES_BY_NAME,
-    ObservableFlag,
+    ObservableTableFlag,
     Place,
     observable_names,
 )
@@ -81,7 +81,7 @@ EFFECT_IN_TEST_BY_BIFURCATION_KIND = {
     "amplitude slowly rises and falls, and the spectrum has sidebands of the load's frequency",
 }
 """Sentence by kind of bifurcation: the effect in a test."""
-UNITS_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
+SI_UNITS_OF_VALUES_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
 """Units with values written as 0 up to 1e-15, as these are rounding errors."""
 
 
@@ -160,10 +160,12 @@ def yield_large_error_warning(
         return
     balance_table = scene.harmonic_balance
     if balance_table.tolerance is None:
-        can_choose_harmonics = balance_table.samples is None and balance_table.form != "block"
+        can_tolerance_choose_harmonics = (
+            balance_table.samples is None and balance_table.form != "block"
+        )
         refinement_text = "more harmonics" + (
             f": {PROPOSED_TOLERANCE_OPTION} chooses them"
-            if can_choose_harmonics
+            if can_tolerance_choose_harmonics
             else " (harmonic_balance.harmonics)"
         )
     elif n_harmonics < MAX_HARMONIC_ORDER:
@@ -226,11 +228,11 @@ def yield_instability_warning(
         hints_text = f"; {' or '.join(hint_texts)} may decide it" if hint_texts else ""
         yield f"the stability of the orbit is undecided{reason_text}{motion_text}{hints_text}"
     else:
-        largest_multiplier = complex(stability.multipliers[0])
+        multiplier_of_largest_modulus = complex(stability.multipliers[0])
         motion_description = "with another amplitude"
-        if largest_multiplier.imag != 0.0:
+        if multiplier_of_largest_modulus.imag != 0.0:
             motion_description = "that does not repeat each period: its amplitude slowly varies"
-        elif largest_multiplier.real <= 0.0:
+        elif multiplier_of_largest_modulus.real <= 0.0:
             motion_description = "that repeats after two periods of the load"
         yield (
             f"the orbit is unstable{reason_text}: a test shows another motion, {motion_description}"
@@ -250,17 +252,18 @@ def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], lis
     notes, warnings : list of str
         At most one text each; empty lists for plates and without friction.
     """
-    if not (sliding_ratio := getattr(friction_of(run.contact), "turning", None)):
+    if not (transverse_sliding_ratio := getattr(friction_of(run.contact), "turning", None)):
         return [], []
     warning_text = (
         "the crack faces slide across the direction of friction, by "
-        f"{sliding_ratio:.2g} of the sliding along it; do not trust the effect of friction"
+        f"{transverse_sliding_ratio:.2g} of the sliding along it; do not trust the effect of "
+        "friction"
     )
     note_text = (
         "at each contact pair friction acts along one direction; sliding across it has no "
-        f"friction, and is {sliding_ratio:.2g} of the sliding along it"
+        f"friction, and is {transverse_sliding_ratio:.2g} of the sliding along it"
     )
-    if sliding_ratio > MAX_TRUSTED_TRANSVERSE_SLIDING_RATIO:
+    if transverse_sliding_ratio > MAX_TRUSTED_TRANSVERSE_SLIDING_RATIO:
         return [note_text], [warning_text]
     return [
         f"{note_text}; up to {MAX_TRUSTED_TRANSVERSE_SLIDING_RATIO:g} nothing needs to be done"
@@ -315,7 +318,11 @@ def describe_departing_motions(solution: PeriodicSolution, watched_dof: int) -> 
     departing_motions: list[tuple[bool, int, np.ndarray]] = []
     with suppress(ConvergenceError, InputError):
         departing_motions = [
-            (attractor.orbit is not None, attractor.periods, attractor.amplitudes(watched_dof))
+            (
+                attractor.orbit is not None,
+                attractor.n_integrated_load_periods,
+                attractor.amplitude_in_each_period(watched_dof),
+            )
             for attractor in attractors(solution.structure, solution)
         ]
     settled_range_texts = dict.fromkeys(
@@ -327,10 +334,10 @@ def describe_departing_motions(solution: PeriodicSolution, watched_dof: int) -> 
         for is_orbit, n_periods, amplitudes in departing_motions
         if not is_orbit
     ]:
-        period_counts, amplitude_arrays = zip(*varying_motions, strict=True)
+        n_periods_of_varying_motions, amplitude_arrays = zip(*varying_motions, strict=True)
         amplitude_range_text = _describe_range(np.concatenate(amplitude_arrays))
         clause_texts.append(
-            f"still varies after {format_count(min(period_counts), 'period')}, "
+            f"still varies after {format_count(min(n_periods_of_varying_motions), 'period')}, "
             f"{amplitude_range_text}"
         )
     return (
@@ -357,19 +364,24 @@ def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> s
     ``highest_omega`` [rad/s] is the frequency of the highest harmonic. The text is empty if modes
     up to this frequency are damped, or without contact: only contact excites harmonics.
     """
-    damped_modes_and_highest_omega = (
+    n_damped_modes_and_their_max_omega = (
         damped_count_and_max_omega_or_none(structure) if structure.n_pairs else None
     )
-    if damped_modes_and_highest_omega is None or highest_omega <= damped_modes_and_highest_omega[1]:
+    if (
+        n_damped_modes_and_their_max_omega is None
+        or highest_omega <= n_damped_modes_and_their_max_omega[1]
+    ):
         return ""
-    n_damped_modes, highest_damped_omega = damped_modes_and_highest_omega
+    n_damped_modes, highest_damped_omega = n_damped_modes_and_their_max_omega
     if n_damped_modes == 0:
         return (
             f"harmonics reach H w = {highest_omega:g} rad/s, but no mode is damped; set [damping]"
         )
-    modes_text = "the damped mode" if n_damped_modes == 1 else f"the {n_damped_modes} damped modes"
+    damped_modes_text = (
+        "the damped mode" if n_damped_modes == 1 else f"the {n_damped_modes} damped modes"
+    )
     return (
-        f"harmonics reach H w = {highest_omega:g} rad/s, beyond {modes_text} "
+        f"harmonics reach H w = {highest_omega:g} rad/s, beyond {damped_modes_text} "
         f"({highest_damped_omega:g} rad/s); higher modes are not damped: raise damping.modes"
     )
 
@@ -402,20 +414,26 @@ def make_report(
         Further fields of the :class:`Report`.
     """
     friction_notes, friction_warnings = list_friction_line_notes_and_warnings(run)
-    incomplete_notes = () if run.stated is None else run.stated.incomplete_error_notes
+    incomplete_error_notes = () if run.stated is None else run.stated.incomplete_error_notes
     report = Report(
         table,
         make_conclusion(run),
-        notes=[*notes, *friction_notes, *_yield_node_distance_note(run), *incomplete_notes],
+        notes=[*notes, *friction_notes, *_yield_node_distance_note(run), *incomplete_error_notes],
         warnings=[*warnings, *friction_warnings],
         remarks=run.remarks,
         **report_fields,
     )
     if table.columns[0] != "name":
         return report
-    conclusion_text = DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY["conclusion"][0]
-    error_cells = ["" for _ in table.columns[4:]]
-    conclusion_row = ["conclusion", conclusion_text, report.closing_sentence, "-", *error_cells]
+    conclusion_description = DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY["conclusion"][0]
+    empty_error_cells = ["" for _ in table.columns[4:]]
+    conclusion_row = [
+        "conclusion",
+        conclusion_description,
+        report.closing_sentence,
+        "-",
+        *empty_error_cells,
+    ]
     return replace(
         report,
         table=Table(table.columns, [*table.rows, conclusion_row]),
@@ -438,13 +456,14 @@ def _yield_node_distance_note(run: Run[Any]) -> Iterator[str]:
         f"{point_name} {format_quantity(node_distance, 'm')}"
         for point_name, node_distance in distance_by_point.items()
     )
-    exclusion_text = (
+    distance_not_in_errors_text = (
         "; the stated errors do not include this distance" if run.stated is not None else ""
     )
     if distances_text:
         yield (
             "each output point is observed at its nearest node, at a distance of: "
-            f"{distances_text}{exclusion_text}; if this is too far, use smaller elements there"
+            f"{distances_text}{distance_not_in_errors_text}; if this is too far, use smaller "
+            "elements there"
         )
 
 
@@ -497,18 +516,20 @@ def yield_natural_frequencies(
     value : ndarray
         Numbers in this unit.
     """
-    for quantity_name in observable_names(Place.NEAREST_MODE):
+    for quantity_name in observable_names(Place.MODE_NEAREST_TO_LOAD_FREQUENCY):
         observable, value = OBSERVABLES_BY_NAME[quantity_name], frequencies_by_name[quantity_name]
         yield quantity_name, observable.words, observable.unit, value
         if observable.unit == "rad/s":
-            frequency_name = quantity_name.replace("omega", "frequency")
-            yield frequency_name, observable.words, "Hz", value / (2.0 * np.pi)
+            name_of_frequency_in_hertz = quantity_name.replace("omega", "frequency")
+            yield name_of_frequency_in_hertz, observable.words, "Hz", value / (2.0 * np.pi)
 
 
 # --- printed parts of tables ----------------------------------------------------------------------
 
 
-def select_printed_quantities(table: Table, scene: Scene, place_flag: ObservableFlag) -> Table:
+def select_printed_quantities(
+    table: Table, scene: Scene, table_kind_flag: ObservableTableFlag
+) -> Table:
     """Select the quantities of a result's table to print.
 
     Print the quantities in ``output.quantities`` of the scene. Without this key, print the default
@@ -525,10 +546,13 @@ def select_printed_quantities(table: Table, scene: Scene, place_flag: Observable
         All quantities.
     scene : Scene
         Scene with the keys and units.
-    place_flag : ObservableFlag
+    table_kind_flag : ObservableTableFlag
         Flag for the kind of table; selects the default quantities.
     """
-    requested_names, default_names = scene.quantities, observable_names(required_flags=place_flag)
+    requested_names, default_names = (
+        scene.quantities,
+        observable_names(required_flags=table_kind_flag),
+    )
     table = _round_to_zero(table)
 
     def is_printed(name: str, unit: str) -> bool:
@@ -559,19 +583,19 @@ def select_printed_quantities(table: Table, scene: Scene, place_flag: Observable
 def _round_to_zero(table: Table) -> Table:
     """Replace rounding errors in a table by 0.
 
-    A value with a unit in :data:`UNITS_ROUNDED_TO_ZERO` is a rounding error up to 1e-15 of this
-    unit. Units come from the column "unit", or from headings, "gap [m]".
+    A value with a unit in :data:`SI_UNITS_OF_VALUES_ROUNDED_TO_ZERO` is a rounding error up to
+    1e-15 of this unit. Units come from the column "unit", or from headings, "gap [m]".
     """
     column_units = [heading.partition("[")[2].rstrip("]") for heading in table.columns]
     unit_column_index = table.columns.index("unit") if "unit" in table.columns else None
 
     def round_value(cell_value: Any, unit: str) -> Any:
-        can_round = isinstance(cell_value, float) and unit in UNITS_ROUNDED_TO_ZERO
+        can_round = isinstance(cell_value, float) and unit in SI_UNITS_OF_VALUES_ROUNDED_TO_ZERO
         return 0.0 if can_round and abs(cell_value) <= 1e-15 else cell_value
 
     rounded_rows = []
     for table_row in table.rows:
-        row_units = (
+        cell_units = (
             column_units
             if unit_column_index is None
             else len(column_units) * [str(table_row[unit_column_index])]
@@ -579,7 +603,7 @@ def _round_to_zero(table: Table) -> Table:
         rounded_rows.append(
             [
                 round_value(*cell_and_unit)
-                for cell_and_unit in zip(table_row, row_units, strict=True)
+                for cell_and_unit in zip(table_row, cell_units, strict=True)
             ]
         )
     return Table(table.columns, rounded_rows)
@@ -652,7 +676,7 @@ def _format_value(description: str, quantity_value: Any, unit: str) -> Any:
     "yes" and "no".
     """
     is_finite_number = isinstance(quantity_value, float) and np.isfinite(quantity_value)
-    if is_finite_number and unit in UNITS_ROUNDED_TO_ZERO:
+    if is_finite_number and unit in SI_UNITS_OF_VALUES_ROUNDED_TO_ZERO:
         return format_quantity(quantity_value, unit)
     if is_finite_number and description.startswith("relative "):
         return format_percent(quantity_value)

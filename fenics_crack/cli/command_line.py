@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from fenics_crack.basics import machine
 from fenics_crack.basics.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
-from fenics_crack.basics.progress import MessageHandler
+from fenics_crack.basics.progress import NoteAndWarningLogHandler
 from fenics_crack.basics.suggestions import (
     did_you_mean_text,
     find_calls_by_synonyms,
@@ -48,14 +48,14 @@ LIBRARY_ARGUMENT_NAMES_BY_SCENE_TABLE = {
     "reduction": ("method", "modes"),
     "tip_timing": ("clock", "noise", "probes", "revolutions", "tip_radius"),
 }
-DAMPING_ARGUMENT_NAMES = ("mass", "modes", "omegas", "ratio", "ratios", "stiffness")
+LIBRARY_DAMPING_ARGUMENT_NAMES = ("mass", "modes", "omegas", "ratio", "ratios", "stiffness")
 SCENE_KEY_OR_OPTION_BY_ARGUMENT = {
     **{
         name: f"{table}.{name}"
         for table, names in LIBRARY_ARGUMENT_NAMES_BY_SCENE_TABLE.items()
         for name in names
     },
-    **{f"damping {name}": f"damping.{name}" for name in DAMPING_ARGUMENT_NAMES},
+    **{f"damping {name}": f"damping.{name}" for name in LIBRARY_DAMPING_ARGUMENT_NAMES},
     **dict.fromkeys(("low", "high", "high - low"), "tip_timing.frequencies"),
     "contact law": "contact.law",
     "contact stiffness": "contact.stiffness",
@@ -98,8 +98,8 @@ def main(command_words: Sequence[str] | None = None) -> int:
     gc.set_threshold(10_000)  # each search visits over 100,000 lasting objects: search less often
     atexit.register(gc.freeze)  # no search at exit: the system frees all memory
     if any(
-        os.environ.get(variable_name, "0") != "0"
-        for variable_name in machine.MPIRUN_ENVIRONMENT_VARIABLES
+        os.environ.get(mpirun_variable_name, "0") != "0"
+        for mpirun_variable_name in machine.MPIRUN_ENVIRONMENT_VARIABLES
     ):
         _discard_output_of_this_rank()
     if sys.stdout is None:
@@ -132,11 +132,15 @@ def main(command_words: Sequence[str] | None = None) -> int:
         return Exit.PIPE_READER_GONE
     except Exception as error:
         if "FromOptions()" in (error_message := str(error).rstrip()):  # a value unknown to PETSc
-            requirement_text = (
+            petsc_option_requirement_text = (
                 f"options with values that PETSc accepts ({error_message.rpartition('[0] ')[2]})"
             )
             _print_input_errors(
-                [InputError("PETSc options", " ".join(_petsc_arguments()), requirement_text)]
+                [
+                    InputError(
+                        "PETSc options", " ".join(_petsc_arguments()), petsc_option_requirement_text
+                    )
+                ]
             )
             return Exit.BAD_INPUT
         if shortage_text := machine.describe_resource_shortage(error):
@@ -271,19 +275,19 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     is_prepared_file = "scene" in arguments and arguments.scene.suffix.lower() == ".h5"
     inputs = None if is_under_mpirun or is_prepared_file else read_inputs(arguments)
     may_need_mesh = is_under_mpirun or not ("scene" in arguments and inputs is None)
-    has_structure_file = (
+    can_use_kept_structure = (
         inputs
         and not vars(arguments).get("fresh", True)
         and (inputs.results_folder / KEPT_STRUCTURE_FILE_NAME).exists()
     )
     needs_mesh = (
         arguments.command not in ("new", "clean")
-        and not (is_prepared_file or has_structure_file)
+        and not (is_prepared_file or can_use_kept_structure)
         and may_need_mesh
     )
     if needs_mesh and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
-    with machine.set_one_process_variables():
+    with machine.set_one_process_mpi_variables():
         from fenics_crack.basics.ranks import (  # starts MPI
             MPI,
             STOP_SIGNALS,
@@ -294,9 +298,9 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     if comm.rank > 0:
         _discard_output_of_this_rank()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
-    for signal_number in STOP_SIGNALS:
-        signal.signal(signal_number, signal.default_int_handler)
-    with machine.run_single_threaded(), MessageHandler(quiet=arguments.quiet):
+    for stop_signal_number in STOP_SIGNALS:
+        signal.signal(stop_signal_number, signal.default_int_handler)
+    with machine.run_single_threaded(), NoteAndWarningLogHandler(quiet=arguments.quiet):
         if is_prepared_file:
             inputs = read_prepared_inputs(arguments, comm)
         elif is_under_mpirun:
@@ -353,16 +357,21 @@ def _call_command(
     assert console is not None
     if arguments.command not in ("check", "clean"):
         make_writable_folder(inputs.results_folder, console.comm)
-    if (is_fresh := vars(arguments).get("fresh")) is not None and inputs.prepared_study is None:
+    if (
+        is_fresh_option_set := vars(arguments).get("fresh")
+    ) is not None and inputs.prepared_study is None:
         from fenics_crack.study.shelf import StructureFile
 
-        structure_path = inputs.results_folder / KEPT_STRUCTURE_FILE_NAME
+        kept_structure_path = inputs.results_folder / KEPT_STRUCTURE_FILE_NAME
         can_read_structure = on_root(
-            console.comm, lambda: structure_path.is_file() and not structure_path.is_symlink()
+            console.comm,
+            lambda: kept_structure_path.is_file() and not kept_structure_path.is_symlink(),
         )
         CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST[:] = [
             StructureFile(
-                structure_path, console.print_notes, is_read=can_read_structure and not is_fresh
+                kept_structure_path,
+                console.print_notes,
+                is_read=can_read_structure and not is_fresh_option_set,
             )
         ]
     if arguments.command != "clean":  # before the mesh, which may take minutes
@@ -646,9 +655,9 @@ class SuggestingParser(argparse.ArgumentParser):
             commands_with_option = [
                 command_name
                 for command_name in HELP_AND_CALL_BY_COMMAND
-                if unknown_option in list_options(command_name)
+                if unknown_option in list_all_options_of_commands(command_name)
             ]
-            all_options = list_options(*HELP_AND_CALL_BY_COMMAND)
+            all_options = list_all_options_of_commands(*HELP_AND_CALL_BY_COMMAND)
             similar_options = find_similar_names(unknown_option, all_options)
             message += f"; {did_you_mean_text([] if commands_with_option else similar_options)}"
             message += (
@@ -691,15 +700,15 @@ class CompletionAction(argparse.Action):
         parser.exit()
 
 
-def list_options(*command_names: str) -> list[str]:
+def list_all_options_of_commands(*command_names: str) -> list[str]:
     """Return the options of several commands and the options common to all, each once."""
-    argument_names = " ".join(
+    command_argument_names = " ".join(
         HELP_AND_CALL_BY_COMMAND[command_name][1] for command_name in command_names
     ).split()
     command_options = [
-        argument_name.partition("=")[0]
-        for argument_name in argument_names
-        if argument_name.startswith("--")
+        command_argument_name.partition("=")[0]
+        for command_argument_name in command_argument_names
+        if command_argument_name.startswith("--")
     ]
     return list(dict.fromkeys([*command_options, "--format", "--quiet", "--verbose", "--help"]))
 
@@ -725,23 +734,23 @@ def build_parser() -> argparse.ArgumentParser:
     command_group = program_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for command_name, (
         command_help,
-        function_and_arguments_text,
+        function_path_and_argument_names,
     ) in HELP_AND_CALL_BY_COMMAND.items():
         command_parser = command_group.add_parser(
             command_name, help=command_help, description=command_help[0].upper() + command_help[1:]
         )
-        for argument_name in [*function_and_arguments_text.split()[1:], "--format"]:
-            argument_help, argument_options = HELP_AND_OPTIONS_BY_ARGUMENT[argument_name]
-            argument_action = command_parser.add_argument(
-                argument_name.partition("=")[0], help=argument_help, **argument_options
+        for command_argument_name in [*function_path_and_argument_names.split()[1:], "--format"]:
+            argument_help, argument_options = HELP_AND_OPTIONS_BY_ARGUMENT[command_argument_name]
+            added_argument_action = command_parser.add_argument(
+                command_argument_name.partition("=")[0], help=argument_help, **argument_options
             )
-            if argument_name == "--set" or argument_options.get("type") is path:
-                completion_by_shell = (
+            if command_argument_name == "--set" or argument_options.get("type") is path:
+                completion_function_by_shell = (
                     KEY_COMPLETION_FUNCTION_BY_SHELL
-                    if argument_name == "--set"
+                    if command_argument_name == "--set"
                     else PATH_COMPLETION_FUNCTION_BY_SHELL
                 )
-                argument_action.complete = completion_by_shell  # type: ignore[attr-defined]
+                added_argument_action.complete = completion_function_by_shell  # type: ignore[attr-defined]
         verbosity_group = command_parser.add_mutually_exclusive_group()
         verbosity_group.add_argument(
             "--quiet", action="store_true", help="print the table and nothing else"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from fenics_crack.basics.atomic_files import complete_files_together, remove_file
 from fenics_crack.basics.errors import (
     INTERRUPTED_CURVE_STATUS,
-    N_FREQUENCIES_PER_CRACK_STATE,
+    N_NATURAL_MODES_PER_CRACK_STATE,
     Exit,
     InputError,
     StoppedError,
@@ -78,7 +78,7 @@ def run_and_report_function(
     known_values_by_parameter = {
         "comm": console.comm,
         "progress": console.shows_progress,
-        "few": N_FREQUENCIES_PER_CRACK_STATE,
+        "few": N_NATURAL_MODES_PER_CRACK_STATE,
         **vars(arguments),
         **vars(inputs),
         "scene": inputs.prepared_study or inputs.scene,
@@ -108,14 +108,14 @@ def run_and_report_function(
             )
             file_stem = f"{file_stem}_interrupted"
         if report is None:
-            _save_result(result, folder / f"{file_stem}.h5", console)
+            _save_result_of_all_ranks(result, folder / f"{file_stem}.h5", console)
             raise StoppedError(f"stopped; {folder / file_stem}.h5 has the result so far")
         return write_and_print_report(
             report, folder / file_stem, console, result, vars(arguments).get("pictures")
         )
 
 
-def _save_result(result: Any, path: Path, console: Console) -> None:
+def _save_result_of_all_ranks(result: Any, path: Path, console: Console) -> None:
     """Save a result to a .h5 file, with all MPI ranks holding a part.
 
     For a run, the ranks are the run's; for any further kind of result, the console's.
@@ -159,7 +159,7 @@ def write_and_print_report(
         )
     with complete_files_together() as file_stack:
         if result is not None:
-            _save_result(result, Path(f"{stem_path}.h5"), console)
+            _save_result_of_all_ranks(result, Path(f"{stem_path}.h5"), console)
 
         def write_tables() -> None:
             report.table.save(f"{stem_path}.json")
@@ -312,16 +312,16 @@ def _convert_arrivals_to_measurements(
 
     arrivals_by_blade, run = scene_timing.arrivals_of_blades(scene, arrival_source, console.comm)
     [arrivals] = arrivals_by_blade.values()
-    console.print_remarks(*([] if run else scene_timing.list_arrival_remarks(arrivals)))
+    console.print_remarks(*([] if run else scene_timing.list_arrival_unit_remarks(arrivals)))
     option_name = "--before" if is_uncracked else "arrivals"
     if scene_timing.is_run_up(arrivals, run):
         with console.report_stage("resonances"):
-            blade_scene = (
+            given_or_uncracked_scene = (
                 scene.replace(get_crack_removal_changes_or_none(scene) or {})
                 if is_uncracked
                 else scene
             )
-            passages = scene_timing.find_passages_and_modes(blade_scene, arrivals)
+            passages = scene_timing.find_passages_and_modes(given_or_uncracked_scene, arrivals)
         console.print_notes(*(scene_timing.describe_passage(*passage) for passage in passages))
         passage_fits, mode_numbers, _ = zip(*passages, strict=True) if passages else ((), (), ())
         if not any(mode_numbers):
@@ -339,27 +339,27 @@ def _convert_arrivals_to_measurements(
         raise InputError(
             option_name, repr(arrivals), "arrivals of a run-up, or frequency responses (.uff, .unv)"
         )
-    has_fixed_speed = scene.speed > 0.0 and scene.excitation.order is None
+    scene_fixes_rotor_speed = scene.speed > 0.0 and scene.excitation.order is None
     if (
-        has_fixed_speed
+        scene_fixes_rotor_speed
         and abs(arrivals.mean_speed / scene.speed - 1.0) > MAX_RELATIVE_RANGE_OF_CONSTANT_SPEED
     ):
-        measured_speed_text, scene_speed_text = (
+        measured_rotor_speed_text, scene_speed_text = (
             format_speed(speed, scene.is_speed_in_rpm)
             for speed in (arrivals.mean_speed, scene.speed)
         )
         raise InputError(
             option_name,
-            measured_speed_text,
+            measured_rotor_speed_text,
             f"arrivals at {scene_speed_text}, the speed of [rotation]; set [rotation] to the "
             "measured speed, or give the load by excitation.order",
         )
     engine_order = scene_timing.get_engine_order(scene.given("tip_timing"), scene)
-    displacement_name, is_against_rotation = scene_timing.find_probed_displacement_and_reversal(
-        scene
+    probed_displacement_name, is_displacement_against_rotation = (
+        scene_timing.find_probed_displacement_and_reversal(scene)
     )
     return Measurements.from_arrivals(
-        arrivals, engine_order, displacement_name, against=is_against_rotation
+        arrivals, engine_order, probed_displacement_name, against=is_displacement_against_rotation
     )
 
 
@@ -404,9 +404,9 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
                 draw_posterior(identification, path=folder / f"posterior.{picture_format}")
 
     fit_table_text = identification.fit_table().format_as("csv")
-    other_stems = ("identify", "posterior", "where_to_measure")
+    other_result_file_stems = ("identify", "posterior", "where_to_measure")
     replacement_note = keep_previous_files_with_note(
-        folder / "fit.csv", fit_table_text, console.comm, *other_stems
+        folder / "fit.csv", fit_table_text, console.comm, *other_result_file_stems
     )
     on_root(console.comm, write_results)
     console.print_table(identification.table())

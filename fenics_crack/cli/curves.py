@@ -45,17 +45,19 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     The report has the curve's special points, errors and stability, and a .csv table of all points.
     """
     curve, scene = run.result, run.scene
-    indicator_columns_by_heading = _indicator_columns_by_heading(run, curve)
-    special_point_table = tabulate_special_points(run, indicator_columns_by_heading)
-    shortened_table, n_hidden_points = shorten_special_points(run, special_point_table)
+    motion_indicators_by_heading = _motion_indicators_by_heading(run, curve)
+    special_point_table = tabulate_special_points(run, motion_indicators_by_heading)
+    shortened_special_point_table, n_hidden_special_points = shorten_special_points(
+        run, special_point_table
+    )
     return account.make_report(
         run,
         special_point_table,
-        csv_table=tabulate_curve_points(run, indicator_columns_by_heading),
+        csv_table=tabulate_curve_points(run, motion_indicators_by_heading),
         printed_table=account.select_printed_quantities(
-            shortened_table, scene, IN_SPECIAL_POINTS_TABLE
+            shortened_special_point_table, scene, IN_SPECIAL_POINTS_TABLE
         ),
-        notes=_yield_curve_notes(run, n_hidden_points),
+        notes=_yield_curve_notes(run, n_hidden_special_points),
         warnings=[
             *_yield_curve_warnings(run),
             *account.yield_large_motion_warning(run, account.find_largest_displacements(run)),
@@ -71,14 +73,17 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     )
 
 
-def _yield_curve_notes(run: Run[ResponseCurve], n_hidden_points: int) -> Iterator[str]:
+def _yield_curve_notes(run: Run[ResponseCurve], n_hidden_special_points: int) -> Iterator[str]:
     """Yield notes on special points, harmonics, the method and the resolution (collective).
 
-    ``n_hidden_points`` is the number of special points left out of the printed table.
+    ``n_hidden_special_points`` is the number of special points left out of the printed table.
     """
     curve, scene = run.result, run.scene
-    if n_hidden_points:
-        yield f"{n_hidden_points} more bifurcations and changes of stability are in curve.json"
+    if n_hidden_special_points:
+        yield (
+            f"{n_hidden_special_points} more bifurcations and changes of stability are in "
+            f"curve.json"
+        )
     yield _describe_unstable_peak(run)
     yield account.describe_undamped_harmonics(run.structure, highest_harmonic_omega(scene, "curve"))
     for bifurcation_kind in dict.fromkeys(bifurcation.kind for bifurcation in curve.bifurcations):
@@ -103,11 +108,12 @@ def _yield_curve_notes(run: Run[ResponseCurve], n_hidden_points: int) -> Iterato
         status_detail = curve.status.partition("; ")[2] if curve.complete else ""
         yield "; ".join(filter(None, (f"method of the curve: {curve.method}", status_detail)))
     if curve.exact:
-        width_text = format_in_unit(
-            axis_factor_name_and_unit(curve.parameter, True), curve.resolution
+        curve_resolution_text = format_in_unit(
+            axis_factor_name_and_unit(curve.parameter, True), curve.max_missed_window_width
         )
         yield (
-            f"unstable ranges narrower than {width_text} may lie between the points of the curve; "
+            f"unstable ranges narrower than {curve_resolution_text} may lie between the points "
+            "of the curve; "
             "a curve over a shorter range has closer points"
         )
 
@@ -124,8 +130,10 @@ def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
     verdict = str(curve.verdicts[peak_index]) if is_assessed else ""
     if verdict not in ("unstable", "irregular"):
         return ""
-    motion_text = account.describe_departing_motions(curve.solution(peak_index), run.watched_dof)
-    return f"the largest response is {verdict}: a test shows another motion{motion_text}"
+    departing_motion_text = account.describe_departing_motions(
+        curve.solution(peak_index), run.watched_dof
+    )
+    return f"the largest response is {verdict}: a test shows another motion{departing_motion_text}"
 
 
 def _is_before_early_end(curve: ResponseCurve, point_index: int) -> bool:
@@ -155,22 +163,34 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
         curve.status == INTERRUPTED_CURVE_STATUS
     ):  # errors were not computed; exact orbits have multipliers all the same
         end_text = "" if curve.complete else "ended early: the computation "
-        skipped_text = "errors and stability" if curve.multipliers is None else "errors"
+        uncomputed_quantities_text = (
+            "errors and stability" if curve.multipliers is None else "errors"
+        )
         yield (
-            f"the curve {end_text}was interrupted; its {skipped_text} were not computed: run the "
+            f"the curve {end_text}was interrupted; its {uncomputed_quantities_text} were not "
+            "computed: run the "
             "command again"
         )
         return
     peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
-    checked_indices = {peak_index, *np.linspace(0, len(curve) - 1, 8).astype(int).tolist()}
+    error_checked_point_indices = {
+        peak_index,
+        *np.linspace(0, len(curve) - 1, 8).astype(int).tolist(),
+    }
     solutions_by_index = {
-        index: curve.solution(index, search=index == peak_index)
-        for index in sorted(checked_indices)
+        checked_point_index: curve.solution(
+            checked_point_index, search=checked_point_index == peak_index
+        )
+        for checked_point_index in sorted(error_checked_point_indices)
     }
     error_reports_by_index = {
-        index: solution.report for index, solution in solutions_by_index.items()
+        checked_point_index: solution.report
+        for checked_point_index, solution in solutions_by_index.items()
     }
-    worst_index = max(error_reports_by_index, key=lambda index: error_reports_by_index[index].total)
+    worst_index = max(
+        error_reports_by_index,
+        key=lambda checked_point_index: error_reports_by_index[checked_point_index].total,
+    )
     location_text = f" at {_format_parameters(run, curve.values[worst_index])}"
     yield from account.yield_large_error_warning(
         scene,
@@ -183,16 +203,21 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
             run.scene, solutions_by_index[peak_index], curve.verdicts[peak_index]
         ):
             yield f"at the largest response, {warning_text}"
-    undecided_ranges = _find_undecided_ranges(curve)
-    for first_index, last_index in undecided_ranges[:1]:
-        range_text = _format_parameters(run, *curve.values[sorted({first_index, last_index})])
-        location_text = f"between {range_text}" if last_index > first_index else range_text
-        undecided_reason = curve.reason((first_index + last_index) // 2)
-        count_text = format_count(last_index + 1 - first_index, "point")
+    undecided_index_ranges = _find_undecided_index_ranges(curve)
+    for first_undecided_index, last_undecided_index in undecided_index_ranges[:1]:
+        range_text = _format_parameters(
+            run, *curve.values[sorted({first_undecided_index, last_undecided_index})]
+        )
+        location_text = (
+            f"between {range_text}" if last_undecided_index > first_undecided_index else range_text
+        )
+        undecided_reason = curve.reason((first_undecided_index + last_undecided_index) // 2)
+        count_text = format_count(last_undecided_index + 1 - first_undecided_index, "point")
         yield f"the stability is undecided at {count_text}, {location_text}: {undecided_reason}"
-    if len(undecided_ranges) > 1:
+    if len(undecided_index_ranges) > 1:
         n_further_points = sum(
-            last_index + 1 - first_index for first_index, last_index in undecided_ranges[1:]
+            last_undecided_index + 1 - first_undecided_index
+            for first_undecided_index, last_undecided_index in undecided_index_ranges[1:]
         )
         yield (
             f"the stability is undecided at {format_count(n_further_points, 'other point')}; "
@@ -203,14 +228,14 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
         yield f"the curve ended early: {curve.status}"
 
 
-def _find_undecided_ranges(curve: ResponseCurve) -> list[tuple[int, int]]:
+def _find_undecided_index_ranges(curve: ResponseCurve) -> list[tuple[int, int]]:
     """Find ranges of successive curve points with undecided stability.
 
     Returns pairs (first index, last index), longest range first; empty without stability.
     """
-    if curve.undecided is None:
+    if curve.is_undecided is None:
         return []
-    padded_flags = np.concatenate([[0], curve.undecided, [0]])
+    padded_flags = np.concatenate([[0], curve.is_undecided, [0]])
     start_indices, stop_indices = (
         np.flatnonzero(np.diff(padded_flags) == flag_step).tolist() for flag_step in (1, -1)
     )
@@ -234,17 +259,17 @@ def tabulate_curve_points(
     """
     quantity_names = [name for name in run.result.to_dict() if name not in OBSERVABLES_BY_NAME]
     table = run.result.table(*quantity_names)
-    indicator_columns_by_heading = columns_by_heading or _indicator_columns_by_heading(
+    motion_indicators_by_heading = columns_by_heading or _motion_indicators_by_heading(
         run, run.result
     )
-    indicator_rows = zip(
-        *(column.tolist() for column in indicator_columns_by_heading.values()), strict=True
+    motion_indicator_rows = zip(
+        *(column.tolist() for column in motion_indicators_by_heading.values()), strict=True
     )
     point_rows = [
-        [*point_row, *indicator_row]
-        for point_row, indicator_row in zip(table.rows, indicator_rows, strict=True)
+        [*point_row, *motion_indicator_row]
+        for point_row, motion_indicator_row in zip(table.rows, motion_indicator_rows, strict=True)
     ]
-    return Table((*table.columns, *indicator_columns_by_heading), point_rows)
+    return Table((*table.columns, *motion_indicators_by_heading), point_rows)
 
 
 def tabulate_special_points(
@@ -258,12 +283,12 @@ def tabulate_special_points(
     """
     curve = run.result
     columns_by_heading = _parameter_columns_by_heading(curve) | (
-        columns_by_heading or _indicator_columns_by_heading(run, curve)
+        columns_by_heading or _motion_indicators_by_heading(run, curve)
     )
     curve_at_bifurcations = curve.at_bifurcations if curve.bifurcations else curve
     bifurcation_columns_by_heading = _parameter_columns_by_heading(
         curve_at_bifurcations
-    ) | _indicator_columns_by_heading(run, curve_at_bifurcations)
+    ) | _motion_indicators_by_heading(run, curve_at_bifurcations)
     peak = curve.top(run.watched_dof)
     peak_name = "largest, still rising" if peak.at_end else "largest"
     peak_name = peak_name if _is_before_early_end(curve, peak.index) else "largest so far"
@@ -284,8 +309,11 @@ def tabulate_special_points(
                 (f"stability {change_text} after", int(point_index), columns_by_heading)
             )
     table_rows = [
-        (point_name, *(float(column[row_index]) for column in source_columns_by_heading.values()))
-        for point_name, row_index, source_columns_by_heading in named_row_sources
+        (
+            point_name,
+            *(float(column[source_row_index]) for column in source_columns_by_heading.values()),
+        )
+        for point_name, source_row_index, source_columns_by_heading in named_row_sources
     ]
     return Table(("point", *columns_by_heading), table_rows)
 
@@ -353,7 +381,10 @@ def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table
         Number of rows left out.
     """
     curve, point_rows = run.result, [*table.rows]
-    first_rows, other_rows = point_rows[:3], point_rows[3:]  # start, end and largest come first
+    first_rows, bifurcation_and_change_rows = (
+        point_rows[:3],
+        point_rows[3:],
+    )  # start, end and largest come first
     bifurcations = curve.bifurcations
     amplitude_column_index = next(
         column_index
@@ -361,21 +392,26 @@ def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table
         if heading.endswith("amplitude [m]")
     )
     if curve.multipliers is not None and np.all(curve.verdicts == "undecided"):
-        other_rows = other_rows[: len(bifurcations)]
+        bifurcation_and_change_rows = bifurcation_and_change_rows[: len(bifurcations)]
 
     def rank_row(row_index: int) -> tuple[bool, float]:
-        return row_index < len(bifurcations), other_rows[row_index][amplitude_column_index]
+        return row_index < len(bifurcations), bifurcation_and_change_rows[row_index][
+            amplitude_column_index
+        ]
 
     kept_indices = sorted(
-        sorted(range(len(other_rows)), key=rank_row, reverse=True)[
+        sorted(range(len(bifurcation_and_change_rows)), key=rank_row, reverse=True)[
             : N_PRINTED_ROWS_OF_LONG_RESULT - 3
         ]
     )
-    kept_rows = [*first_rows, *(other_rows[row_index] for row_index in kept_indices)]
-    return Table(table.columns, kept_rows), len(other_rows) - len(kept_indices)
+    kept_rows = [
+        *first_rows,
+        *(bifurcation_and_change_rows[row_index] for row_index in kept_indices),
+    ]
+    return Table(table.columns, kept_rows), len(bifurcation_and_change_rows) - len(kept_indices)
 
 
-def _indicator_columns_by_heading(
+def _motion_indicators_by_heading(
     run: Run[ResponseCurve], curve: ResponseCurve
 ) -> ColumnsByHeading:
     """Return columns (n_points,) with indicators of motion and contact, by heading with unit.

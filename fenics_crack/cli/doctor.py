@@ -24,9 +24,9 @@ from fenics_crack.basics.machine import (
     program_on_path,
     read_version_line,
     report_missing_libraries,
-    set_one_process_variables,
+    set_one_process_mpi_variables,
 )
-from fenics_crack.basics.progress import LOGGER
+from fenics_crack.basics.progress import USER_MESSAGE_LOGGER
 from fenics_crack.version import VERSION
 
 MIN_NUMPY_VERSION = (1, 24)
@@ -99,7 +99,7 @@ def run_and_yield_checks(
     warning_texts: list[str] = []
     log_handler = logging.Handler(logging.WARNING)
     log_handler.emit = lambda record: warning_texts.append(record.getMessage())  # type: ignore[method-assign]
-    LOGGER.addHandler(log_handler)
+    USER_MESSAGE_LOGGER.addHandler(log_handler)
     try:
         for check_name, check_function in checks_by_name.items():
             earlier_warning_texts = [*warning_texts]
@@ -117,7 +117,7 @@ def run_and_yield_checks(
                 )
             yield check_name, finding_text, is_fault
     finally:
-        LOGGER.removeHandler(log_handler)
+        USER_MESSAGE_LOGGER.removeHandler(log_handler)
 
 
 def _describe_program() -> str:
@@ -145,7 +145,7 @@ def _check_mpi() -> str:
 
     Raises InputError if several MPI libraries are loaded, or if mpirun belongs to another MPI.
     """
-    with set_one_process_variables():
+    with set_one_process_mpi_variables():
         from fenics_crack.basics.ranks import MPI
     mpi_vendor, mpi_version = MPI.get_vendor()
     if len(library_paths := list_loaded_libraries(r"libmpi\.")) > 1:
@@ -176,10 +176,11 @@ def _check_petsc() -> str:
     if not PETSc.Sys.hasExternalPackage("mumps"):
         petsc_version = ".".join(map(str, PETSc.Sys.getVersion()))
         raise InputError("PETSc", petsc_version, "built with MUMPS; install a PETSc that has it")
-    version_texts = [
-        ".".join(map(str, package.Sys.getVersion())) for package in (PETSc, import_slepc())
+    petsc_and_slepc_version_texts = [
+        ".".join(map(str, petsc_or_slepc_package.Sys.getVersion()))
+        for petsc_or_slepc_package in (PETSc, import_slepc())
     ]
-    return "PETSc {}, SLEPc {}, real numbers, MUMPS".format(*version_texts)
+    return "PETSc {}, SLEPc {}, real numbers, MUMPS".format(*petsc_and_slepc_version_texts)
 
 
 def _check_gmsh() -> str:
@@ -228,9 +229,11 @@ def _check_two_masses() -> str:
     import numpy as np
 
     package_module = import_module("fenics_crack")
-    stiffness = np.array([[2.0, -1.0], [-1.0, 2.0]])  # in phase they are two single oscillators
+    stiffness_matrix = np.array(
+        [[2.0, -1.0], [-1.0, 2.0]]
+    )  # in phase they are two single oscillators
     structure = package_module.Structure.from_matrices(
-        np.eye(2), stiffness, gap=np.eye(2), force_cos=[1.0, 1.0], damping=0.1 * np.eye(2)
+        np.eye(2), stiffness_matrix, gap=np.eye(2), force_cos=[1.0, 1.0], damping=0.1 * np.eye(2)
     )
     solution = package_module.solve_harmonic_balance(
         structure, 1.0, package_module.UnilateralPenalty(1.0), harmonics=40
@@ -261,18 +264,18 @@ def _check_plate() -> str:
     )
     cracked_structure = package_module.build_structure(plate_scene)
     contact_law = package_module.UnilateralPenalty(1e9)
-    condensed_coefficients, block_coefficients = (
+    condensed_form_gap_coefficients, block_form_gap_coefficients = (
         package_module.solve_harmonic_balance(
             cracked_structure, 2000.0, contact_law, harmonics=5, form=solver_form
         ).gap_coefficients
         for solver_form in ("condensed", "block")
     )
-    relative_difference = np.max(np.abs(condensed_coefficients - block_coefficients)) / np.max(
-        np.abs(block_coefficients)
-    )
+    relative_solver_difference = np.max(
+        np.abs(condensed_form_gap_coefficients - block_form_gap_coefficients)
+    ) / np.max(np.abs(block_form_gap_coefficients))
     return (
         f"{_describe_error_or_raise('natural frequency of a bar', frequency_error, 1e-5)}; "
-        f"{_describe_error_or_raise('vibration by two solvers', relative_difference, 1e-8)}"
+        f"{_describe_error_or_raise('vibration by two solvers', relative_solver_difference, 1e-8)}"
     )
 
 

@@ -28,13 +28,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fenics_crack.basics.atomic_files import (
-    REPLACED_FILES_FOLDER_NAME,
-    keep_files,
-    prepare_folder,
+    BACKUP_FOLDER_NAME,
+    back_up_files,
+    make_or_check_results_folder,
     write_file_whole,
 )
 from fenics_crack.basics.errors import MAX_VALUES_OF_AXIS, InputError, check_count
-from fenics_crack.basics.progress import LOGGER, StageLineHandler, begin_stage
+from fenics_crack.basics.progress import USER_MESSAGE_LOGGER, StageLineHandler, begin_stage
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, Table
 from fenics_crack.basics.untrusted_files import read_regular_file, read_utf8_text
 from fenics_crack.scene.scene import Scene
@@ -186,7 +186,7 @@ def _yield_further_errors(
     about wrong values may be due to the template. A key that fails again ends the search.
     """
     corrected_values_by_key, reported_keys = {**changes_by_key}, {"scene"}
-    suggestions_text, has_no_template_value = "", True
+    suggestions_text, scene_has_no_template_values = "", True
     tables_by_name = {} if error.key == "scene" else tomllib.loads(read_utf8_text(scene_path))
     while error.key not in reported_keys:
         reported_keys.add(error.key)
@@ -195,22 +195,22 @@ def _yield_further_errors(
         if error.allowed.startswith("left out; "):
             suggestions_text += error.allowed.partition(" known ")[0]
             corrected_values_by_key.pop(error.key, None)
-            target_table = tables_by_name.get(table_name) if key_name else tables_by_name
-            if isinstance(target_table, dict):
-                target_table.pop(key_name or table_name, None)
+            table_with_key = tables_by_name.get(table_name) if key_name else tables_by_name
+            if isinstance(table_with_key, dict):
+                table_with_key.pop(key_name or table_name, None)
         else:
-            template_text = (
+            correction_toml_text = (
                 find_example_line(error.key, error.allowed)
                 if key_name
                 else find_example_table_text(table_name)
             )
-            template_text = (
-                f"{key_name} = {suggestion_match[1]}" if suggestion_match else template_text
+            correction_toml_text = (
+                f"{key_name} = {suggestion_match[1]}" if suggestion_match else correction_toml_text
             )
             with suppress(ValueError):  # no value is meant
-                target_table = tomllib.loads(template_text)
+                table_with_key = tomllib.loads(correction_toml_text)
                 for key, template_value in (
-                    target_table if key_name else target_table.get(table_name, {})
+                    table_with_key if key_name else table_with_key.get(table_name, {})
                 ).items():
                     if (
                         error.value is None
@@ -218,14 +218,18 @@ def _yield_further_errors(
                         or not isinstance(template_value, str)
                     ):
                         corrected_values_by_key[f"{table_name}.{key}"] = template_value
-            has_no_template_value = has_no_template_value and suggestion_match is not None
+            scene_has_no_template_values = (
+                scene_has_no_template_values and suggestion_match is not None
+            )
         try:
             Scene.from_mapping(tables_by_name, scene_path.parent, corrected_values_by_key)
             return
         except InputError as next_error:
             error = next_error
         is_reportable = (
-            has_no_template_value or error.value is None or error.allowed.startswith("left out; ")
+            scene_has_no_template_values
+            or error.value is None
+            or error.allowed.startswith("left out; ")
         )
         if (
             is_reportable
@@ -401,10 +405,10 @@ def parse_changes(assignments: Sequence[str]) -> dict[str, Any]:
             raise InputError("--set", assignment, "key=value, for example contact.stiffness=1e9")
         value_text = value_text.strip()
         try:
-            key_value = tomllib.loads(f"value = {value_text}")["value"]
+            value_of_scene_key = tomllib.loads(f"value = {value_text}")["value"]
         except (ValueError, RecursionError):
-            key_value = None if value_text == "none" else value_text
-        values_by_key[key_text.strip()] = key_value
+            value_of_scene_key = None if value_text == "none" else value_text
+        values_by_key[key_text.strip()] = value_of_scene_key
     return values_by_key
 
 
@@ -458,7 +462,7 @@ class Console:
     def print_notes(self, *note_texts: str) -> None:
         """Print all notes except empty texts, unless quiet."""
         for note_text in filter(None, note_texts):
-            LOGGER.info("%s", note_text)
+            USER_MESSAGE_LOGGER.info("%s", note_text)
 
     def print_remarks(self, *remarks: object) -> None:
         """Print remarks about unusual values of a scene, each once, unless quiet."""
@@ -473,7 +477,7 @@ class Console:
     def print_warnings(self, *warning_texts: str) -> None:
         """Print warnings, even if quiet."""
         for warning_text in warning_texts:
-            LOGGER.warning("%s", warning_text)
+            USER_MESSAGE_LOGGER.warning("%s", warning_text)
 
     @contextmanager
     def report_stage(self, stage_name: str, *, has_bars: bool = False) -> Iterator[None]:
@@ -489,7 +493,7 @@ class Console:
             begin_stage(stage_name)
             yield
         if self.is_verbose:
-            LOGGER.info("%s: %.2f s", stage_name, time.perf_counter() - start_time)
+            USER_MESSAGE_LOGGER.info("%s: %.2f s", stage_name, time.perf_counter() - start_time)
 
 
 @dataclass
@@ -533,12 +537,14 @@ def make_writable_folder(folder: Path, comm: MPI.Comm) -> None:
 
     on_root(
         comm,
-        lambda: prepare_folder(folder, (REPLACED_FILES_FOLDER_NAME, PERIOD_FRAMES_FOLDER_NAME)),
+        lambda: make_or_check_results_folder(
+            folder, (BACKUP_FOLDER_NAME, PERIOD_FRAMES_FOLDER_NAME)
+        ),
     )
 
 
 def keep_previous_files_with_note(
-    table_path: Path, table_text: str, comm: MPI.Comm, *other_stems: str
+    table_path: Path, table_text: str, comm: MPI.Comm, *other_result_file_stems: str
 ) -> str:
     """Keep the files of the previous result in the folder ``before`` (collective).
 
@@ -563,10 +569,10 @@ def keep_previous_files_with_note(
     """
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    previous_folder = table_path.with_name(REPLACED_FILES_FOLDER_NAME)
+    previous_folder = table_path.with_name(BACKUP_FOLDER_NAME)
     file_names = [
         f"{file_stem}{file_suffix}"
-        for file_stem in (table_path.stem, *other_stems)
+        for file_stem in (table_path.stem, *other_result_file_stems)
         for file_suffix in RESULT_FILE_ENDINGS
     ]
 
@@ -579,7 +585,7 @@ def keep_previous_files_with_note(
         except OSError:  # no table of ours
             pass
         try:
-            if not keep_files(file_names, table_path.parent, previous_folder):
+            if not back_up_files(file_names, table_path.parent, previous_folder):
                 return ""
         except OSError as error:
             return (
@@ -602,16 +608,22 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     scene_path: Path = arguments.file
-    all_options = (*EXCLUSIVE_NEW_SCENE_OPTIONS, "cad", *COMBINABLE_NEW_SCENE_OPTIONS)
-    chosen_options = [option for option in all_options if vars(arguments)[option]]
-    combinable_options = [
-        option for option in chosen_options if option in COMBINABLE_NEW_SCENE_OPTIONS
+    all_new_scene_options = (*EXCLUSIVE_NEW_SCENE_OPTIONS, "cad", *COMBINABLE_NEW_SCENE_OPTIONS)
+    chosen_new_scene_options = [
+        new_scene_option
+        for new_scene_option in all_new_scene_options
+        if vars(arguments)[new_scene_option]
     ]
-    is_exclusive = len(combinable_options) < len(chosen_options)
-    if is_exclusive and len(chosen_options) > 1:
+    combinable_options = [
+        new_scene_option
+        for new_scene_option in chosen_new_scene_options
+        if new_scene_option in COMBINABLE_NEW_SCENE_OPTIONS
+    ]
+    has_exclusive_option = len(combinable_options) < len(chosen_new_scene_options)
+    if has_exclusive_option and len(chosen_new_scene_options) > 1:
         raise InputError(
-            f"--{chosen_options[0]}",
-            f"with --{chosen_options[1]}",
+            f"--{chosen_new_scene_options[0]}",
+            f"with --{chosen_new_scene_options[1]}",
             "used alone, as it writes another scene",
         )
     measurements_path = scene_path.with_name(f"{scene_path.stem}_measured.csv")
@@ -625,8 +637,8 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
             f"{picture_path}: picture of the faces of {arguments.cad}, with their numbers"
         )
         texts_by_path = {scene_path: scene_text}
-    elif is_exclusive:
-        scene_text = read_packaged_text(f"cli/new_{chosen_options[0]}.toml")
+    elif has_exclusive_option:
+        scene_text = read_packaged_text(f"cli/new_{chosen_new_scene_options[0]}.toml")
         texts_by_path = {scene_path: scene_text.replace("SCENE", shlex.quote(scene_path.name))}
     else:
         texts_by_path = {
@@ -670,17 +682,20 @@ def build_scene_text(
         Options of the command ``new``, from :data:`COMBINABLE_NEW_SCENE_OPTIONS`. Each adds lines
         to the scene.
     """
-    line_marks = [
-        f"(--{option})"
-        for option in {*combinable_options, *(["blade"] if "timing" in combinable_options else [])}
+    chosen_option_marks = [
+        f"(--{new_scene_option})"
+        for new_scene_option in {
+            *combinable_options,
+            *(["blade"] if "timing" in combinable_options else []),
+        }
     ]
     scene_lines = [
         _toggle_comment(template_line)
-        if template_line.endswith(tuple(line_marks))
+        if template_line.endswith(tuple(chosen_option_marks))
         else template_line
         for template_line in read_packaged_text(PLATE_TEMPLATE_PATH).splitlines()
     ]
-    scene_text = "\n".join([*map(_remove_mark, scene_lines), ""])
+    scene_text = "\n".join([*map(_remove_option_mark, scene_lines), ""])
     return scene_text.replace("SCENE", shlex.quote(scene_name)).replace(
         "MEASURED", shlex.quote(measurements_name)
     )
@@ -722,30 +737,35 @@ def _yield_table_lines(table_name: str) -> Iterator[list[str]]:
     If the template has the table as a comment, the comment marks are removed. Marks for options of
     the command ``new``, for example ``(--blade)``, are removed, too.
     """
-    template_texts = map(
+    scene_template_texts = map(
         read_packaged_text,
         (
             PLATE_TEMPLATE_PATH,
-            *(f"cli/new_{option_name}.toml" for option_name in EXCLUSIVE_NEW_SCENE_OPTIONS),
+            *(
+                f"cli/new_{new_scene_option_name}.toml"
+                for new_scene_option_name in EXCLUSIVE_NEW_SCENE_OPTIONS
+            ),
         ),
     )
-    for block_text in itertools.chain.from_iterable(text.split("\n\n") for text in template_texts):
+    for block_text in itertools.chain.from_iterable(
+        scene_template_text.split("\n\n") for scene_template_text in scene_template_texts
+    ):
         block_lines = block_text.splitlines()
-        for line_index, line in enumerate(block_lines):
+        for block_line_index, line in enumerate(block_lines):
             if line.removeprefix("# ").startswith((f"[{table_name}]", f"[{table_name}.")):
                 is_commented = line.startswith("#")
                 table_lines = (
                     line
-                    for line in block_lines[line_index:]
+                    for line in block_lines[block_line_index:]
                     if line.startswith("#") == is_commented
                 )
                 yield [
-                    _remove_mark(_toggle_comment(line) if is_commented else line)
+                    _remove_option_mark(_toggle_comment(line) if is_commented else line)
                     for line in table_lines
                 ]
 
 
-def _remove_mark(line: str) -> str:
+def _remove_option_mark(line: str) -> str:
     return re.sub(r"\s+(# )?\(--\w+\)$", "", line)
 
 

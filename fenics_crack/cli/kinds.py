@@ -24,7 +24,7 @@ class ResultKind(NamedTuple):
     ----------
     file_stem : str
         Name of the files without ending: "curve" for curve.h5.
-    heading : str
+    page_heading : str
         Heading in a report.
     report_function_path : str
         Function to build a :class:`Report` from a result.
@@ -38,7 +38,7 @@ class ResultKind(NamedTuple):
     """
 
     file_stem: str
-    heading: str
+    page_heading: str
     report_function_path: str
     reader_function_path: str
     drawing_function_path: str

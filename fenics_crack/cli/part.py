@@ -26,7 +26,7 @@ class _PartSurface:
 
     Attributes
     ----------
-    triangles : (n, 3, 3) [m]
+    triangle_corner_points : (n, 3, 3) [m]
         Three corners of each triangle, with coordinates.
     face_numbers : (n,)
         Face number of each triangle.
@@ -41,7 +41,7 @@ class _PartSurface:
         ``face_numbers_largest_first``.
     """
 
-    triangles: np.ndarray
+    triangle_corner_points: np.ndarray
     face_numbers: np.ndarray
     triangle_areas: np.ndarray
     triangle_normals: np.ndarray
@@ -71,7 +71,7 @@ class _PartSurface:
             Index in ``face_numbers_largest_first``.
         """
         point_heights = self.face_center_points[:, axis]
-        height_tolerance = 1e-3 * float(np.ptp(self.triangles[..., axis]))
+        height_tolerance = 1e-3 * float(np.ptp(self.triangle_corner_points[..., axis]))
         is_at_end = (
             point_heights > point_heights.max() - height_tolerance
             if at_top
@@ -80,16 +80,16 @@ class _PartSurface:
         return int(is_at_end.argmax())
 
 
-def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
+def _read_part_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
     """Read the triangles of a CAD part, and measure all faces.
 
     ``length_unit`` "mm" holds for files without a unit; None: the file has the unit.
     """
     arrays_by_name = read_part_triangles_and_owners(str(part_path), length_unit)
-    triangles, face_numbers = arrays_by_name["triangles"], arrays_by_name["owners"]
-    edge_vectors = triangles[:, 1:] - triangles[:, :1]
+    triangle_corner_points, face_numbers = arrays_by_name["triangles"], arrays_by_name["owners"]
+    edge_vectors = triangle_corner_points[:, 1:] - triangle_corner_points[:, :1]
     triangle_normals = np.cross(edge_vectors[:, 0], edge_vectors[:, 1])
-    triangle_centers = triangles.mean(axis=1)
+    triangle_centers = triangle_corner_points.mean(axis=1)
     triangle_areas = 0.5 * np.linalg.norm(triangle_normals, axis=1)
     triangle_normals /= np.maximum(2.0 * triangle_areas, 1e-300)[:, None]
     face_numbers_largest_first = sorted(
@@ -107,7 +107,7 @@ def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
         center_distances = np.linalg.norm(triangle_centers[is_on_face] - face_center, axis=1)
         face_center_points.append(triangle_centers[is_on_face][center_distances.argmin()])
     return _PartSurface(
-        triangles,
+        triangle_corner_points,
         face_numbers,
         triangle_areas,
         triangle_normals,
@@ -132,15 +132,15 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
         Distance through the part along the inward normal.
     """
     axis_direction = np.eye(3)[axis]
-    bottom_height = part_surface.triangles[..., axis].min()
-    top_height = part_surface.triangles[..., axis].max()
-    axis_components = [
+    bottom_height = part_surface.triangle_corner_points[..., axis].min()
+    top_height = part_surface.triangle_corner_points[..., axis].max()
+    max_normal_components_along_axis = [
         np.abs(
             part_surface.triangle_normals[part_surface.face_numbers == face_number][:, axis]
         ).max()
         for face_number in part_surface.face_numbers_largest_first
     ]
-    face_index = int((np.array(axis_components) < 0.7).argmax())
+    face_index = int((np.array(max_normal_components_along_axis) < 0.7).argmax())
     is_on_face = part_surface.face_numbers == part_surface.face_numbers_largest_first[face_index]
     target_point = part_surface.face_center_points[face_index] * (1.0 - axis_direction)
     target_point[axis] = bottom_height + PROPOSED_CRACK_HEIGHT_FRACTION * (
@@ -154,7 +154,7 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
     return (
         crack_point,
         face_normal,
-        find_ray_hit_distance(crack_point, -face_normal, part_surface.triangles),
+        find_ray_hit_distance(crack_point, -face_normal, part_surface.triangle_corner_points),
     )
 
 
@@ -176,57 +176,59 @@ def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str
         The file of the part cannot be used.
     """
     length_unit = "mm" if part_path.suffix.lower() == ".brep" else None
-    part_surface = _measure_surface(part_path, length_unit)
-    part_extents = np.ptp(part_surface.triangles.reshape(-1, 3), axis=0)
+    part_surface = _read_part_surface(part_path, length_unit)
+    part_extents = np.ptp(part_surface.triangle_corner_points.reshape(-1, 3), axis=0)
     longest_axis = int(part_extents.argmax())
     clamp_point, tip_point = (
         part_surface.face_center_points[
-            part_surface.find_end_face_index(longest_axis, at_top=at_top)
+            part_surface.find_end_face_index(longest_axis, at_top=is_top_end)
         ]
-        for at_top in (False, True)
+        for is_top_end in (False, True)
     )
     crack_point, face_normal, part_depth = _propose_crack(part_surface, longest_axis)
     listed_face_numbers = part_surface.face_numbers_largest_first[:MAX_LISTED_FACES]
     picture_path = scene_path.with_name(f"{scene_path.stem}_faces.png")
     draw_numbered_faces(
-        part_surface.triangles,
+        part_surface.triangle_corner_points,
         part_surface.face_numbers,
         listed_face_numbers,
         part_surface.face_center_points,
         path=picture_path,
     )
-    face_lines = [
-        f"clamp = [{_format_vector(clamp_point)}]",
-        f"tip = [{_format_vector(tip_point)}]",
+    face_toml_lines = [
+        f"clamp = [{_format_vector_as_toml(clamp_point)}]",
+        f"tip = [{_format_vector_as_toml(tip_point)}]",
     ]
     for face_rank, (face_number, face_point) in enumerate(
         zip(listed_face_numbers, part_surface.face_center_points, strict=False), 1
     ):
         area_mm2 = 1e6 * part_surface.face_area(face_number)
-        face_lines.append(
-            f"# face_{face_rank} = [{_format_vector(face_point)}]  # {area_mm2:.4g} mm^2"
+        face_toml_lines.append(
+            f"# face_{face_rank} = [{_format_vector_as_toml(face_point)}]  # {area_mm2:.4g} mm^2"
         )
     text_by_placeholder = {
-        "EXTENTS": " x ".join(f"{part_extent:.4g}" for part_extent in part_extents),
+        "EXTENTS": " x ".join(
+            f"{part_extent_along_axis:.4g}" for part_extent_along_axis in part_extents
+        ),
         "UNIT": f'unit = "{length_unit}"' if length_unit else "",
         "PART": json.dumps(os.path.relpath(part_path, scene_path.parent)),
         "PICTURE": picture_path.name,
-        "FACES": "\n".join(face_lines),
-        "POINT": _format_vector(crack_point),
-        "NORMAL": _format_vector(np.eye(3)[longest_axis]),
-        "DIRECTION": _format_vector(np.cross(np.eye(3)[longest_axis], face_normal)),
-        "LOAD": _format_vector(tip_point),
-        "RADII": _format_vector([0.5 * part_depth, 0.3 * part_depth]),
-        "FORCE": _format_vector(np.eye(3)[np.abs(face_normal).argmax()]),
+        "FACES": "\n".join(face_toml_lines),
+        "POINT": _format_vector_as_toml(crack_point),
+        "NORMAL": _format_vector_as_toml(np.eye(3)[longest_axis]),
+        "DIRECTION": _format_vector_as_toml(np.cross(np.eye(3)[longest_axis], face_normal)),
+        "LOAD": _format_vector_as_toml(tip_point),
+        "RADII": _format_vector_as_toml([0.5 * part_depth, 0.3 * part_depth]),
+        "FORCE": _format_vector_as_toml(np.eye(3)[np.abs(face_normal).argmax()]),
         "SIZE": f"{min(part_depth, part_extents[longest_axis] / 15.0):.2g}",
         "SCENE": shlex.quote(scene_path.name),
     }
     scene_text = read_packaged_text("cli/new_part.toml")
-    for placeholder, replacement_text in text_by_placeholder.items():
-        scene_text = scene_text.replace(placeholder, replacement_text)
+    for template_placeholder, placeholder_replacement_text in text_by_placeholder.items():
+        scene_text = scene_text.replace(template_placeholder, placeholder_replacement_text)
     return scene_text, picture_path
 
 
-def _format_vector(components: np.ndarray | list[float]) -> str:
+def _format_vector_as_toml(components: np.ndarray | list[float]) -> str:
     """Write a vector as a TOML list, each component with six digits."""
     return json.dumps([float(f"{round(component, 9):.6g}") + 0.0 for component in components])

@@ -19,7 +19,7 @@ from fenics_crack.arrivals.track_order import TipTrack
 from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.atomic_files import write_file_whole
-from fenics_crack.basics.errors import N_FREQUENCIES_PER_CRACK_STATE, InputError
+from fenics_crack.basics.errors import N_NATURAL_MODES_PER_CRACK_STATE, InputError
 from fenics_crack.basics.tables import (
     choose_factor_and_prefixed_unit,
     format_percent,
@@ -32,7 +32,13 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_rotor, plot_study
 from fenics_crack.fatigue.growth import Growth
 from fenics_crack.model.contact import friction_of
-from fenics_crack.model.modes import LIP_STATES, NEGLIGIBLE, Modes, count_bonded_modes, solve_modes
+from fenics_crack.model.modes import (
+    LIP_STATES,
+    STIFFNESS_SOLUTION_ROUNDING,
+    Modes,
+    count_bonded_modes,
+    solve_modes,
+)
 from fenics_crack.model.structure import Structure
 from fenics_crack.monitoring.identification.report import IdentificationOutput
 from fenics_crack.monitoring.timing import Timing, find_blade_of_largest_amplitude_or_none
@@ -49,7 +55,7 @@ from fenics_crack.sweep.plan import LOAD_FREQUENCY_KEYS
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
-CRACK_CLOSING_COLOURS_AND_STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
+CRACK_WAVEFORM_COLOURS_AND_STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
 """Colour and line style of a crack's closing over time; a fourth crack repeats the first."""
 
 NO_MESH_NOTE = "the structure has no mesh: pictures of a mesh are left out"
@@ -133,11 +139,13 @@ def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> No
     if solution.structure.whole.local_nodes_with_cells_or_none is None:
         picture_files.notes.append(NO_MESH_NOTE)
     else:
-        _draw_solution_on_mesh(run, picture_files)
+        _draw_contact_map_and_animation(run, picture_files)
     _draw_stress_intensity(run, picture_files, "solution_tips")
 
 
-def _draw_solution_on_mesh(run: Run[PeriodicSolution], picture_files: PictureFiles) -> None:
+def _draw_contact_map_and_animation(
+    run: Run[PeriodicSolution], picture_files: PictureFiles
+) -> None:
     """Draw contact along the crack over a period, and animate the mesh.
 
     With ParaView's files requested, also write the frames of a period.
@@ -228,13 +236,13 @@ def _draw_waveforms(
         ``path`` and ``title`` of the picture.
     """
     time = waveforms.time - waveforms.time[0]
-    zero_label = "crack faces touch" if waveforms.closings_by_place else None
+    zero_label = "crack faces touch" if waveforms.gap_waveforms_by_place else None
     drawn_waves = [plot.Wave(run.watched_description, time, waveforms.displacement[:, 0])]
     drawn_waves += [
         plot.Wave(f"closing {crack_place}", time, crack_closing, *colour_and_style)
         for (crack_place, crack_closing), colour_and_style in zip(
-            waveforms.closings_by_place.items(),
-            itertools.cycle(CRACK_CLOSING_COLOURS_AND_STYLES),
+            waveforms.gap_waveforms_by_place.items(),
+            itertools.cycle(CRACK_WAVEFORM_COLOURS_AND_STYLES),
             strict=False,
         )
     ]
@@ -327,11 +335,13 @@ def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.nda
         case_label: _compute_linear_response(curve.omega, *response_arguments)
         for case_label, response_arguments in arguments_by_label.items()
     }
-    min_amplitude = NEGLIGIBLE * np.max(curve.amplitude(run.watched_dof))  # rounding below
+    negligible_amplitude = STIFFNESS_SOLUTION_ROUNDING * np.max(
+        curve.amplitude(run.watched_dof)
+    )  # rounding below
     return {
         case_label: (omega_values, amplitudes)
         for case_label, (omega_values, amplitudes) in responses_by_label.items()
-        if np.max(amplitudes) > min_amplitude
+        if np.max(amplitudes) > negligible_amplitude
     }
 
 
@@ -350,7 +360,7 @@ def _compute_linear_response(
     """
     max_modes = count_bonded_modes(structure) if lips == "tied" else structure.n_modes
     natural_omega = solve_modes(
-        structure, min(N_FREQUENCIES_PER_CRACK_STATE, max_modes), lips=lips
+        structure, min(N_NATURAL_MODES_PER_CRACK_STATE, max_modes), lips=lips
     ).omega
     relative_offsets = np.geomspace(1e-6, 0.1, 30)
     omega_near_resonances = np.outer(
@@ -404,7 +414,7 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
             f"{key_in_words(axis.key)} {value_in_words(axis.key, axis_value)}"
             for axis, axis_value in zip(fixed_axes, fixed_combination, strict=True)
         ]
-        for quantity_name, name_and_unit in sweep_result.quantities.items():
+        for quantity_name, quantity_name_and_unit in sweep_result.quantities.items():
             picture_values = split_pictures(
                 np.where(sweep_result.converged, sweep_result[quantity_name], np.nan)
             )[picture_index]
@@ -416,7 +426,7 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
                     drawn_axes,
                     picture_values,
                     is_doubtful[picture_index],
-                    name_and_unit,
+                    quantity_name_and_unit,
                     picture_files,
                     file_stem,
                     fixed_value_texts,
@@ -459,7 +469,7 @@ def draw_swept_quantity(
     axes: Sequence[Axis],
     values: np.ndarray,
     is_doubtful: np.ndarray,
-    name_and_unit: tuple[str, str],
+    quantity_name_and_unit: tuple[str, str],
     picture_files: PictureFiles,
     file_stem: str,
     fixed_texts: Sequence[str] = (),
@@ -475,7 +485,7 @@ def draw_swept_quantity(
         Horizontal axis, and second axis if there are two.
     values, is_doubtful : (n_x, n_y)
         Values, and True for a large error or a case that is not stable; n_y is 1 with one axis.
-    name_and_unit : (str, str)
+    quantity_name_and_unit : (str, str)
         Name and unit of the quantity.
     picture_files : PictureFiles
         Record of the pictures.
@@ -489,10 +499,10 @@ def draw_swept_quantity(
     sorted_index_grid = np.ix_(*[*sorting_indices, np.zeros(1, dtype=int)][:2])
     values, is_doubtful = values[sorted_index_grid], is_doubtful[sorted_index_grid]
     scaled_values_and_labels = [
-        _scale_axis(axis, axis_array[sorting_index])
+        _convert_axis_to_prefixed_unit(axis, axis_array[sorting_index])
         for axis, axis_array, sorting_index in zip(axes, axis_arrays, sorting_indices, strict=True)
     ]
-    quantity_name, unit = name_and_unit
+    quantity_name, unit = quantity_name_and_unit
     title = ", ".join([f"{quantity_name[0].upper()}{quantity_name[1:]}", *fixed_texts])
     n_lines, axes_text = values.shape[1], " and ".join(key_in_words(axis.key) for axis in axes)
     caption = f"{title}, over the {axes_text}; rings: large error, or not stable."
@@ -505,8 +515,8 @@ def draw_swept_quantity(
                 for line_value in axis_array
             ]
         curves_by_label, doubts_by_label = (
-            dict(zip(line_labels, picture_grid.T, strict=True))
-            for picture_grid in (values, is_doubtful)
+            dict(zip(line_labels, value_or_doubt_grid.T, strict=True))
+            for value_or_doubt_grid in (values, is_doubtful)
         )
         plot.draw_response(
             scaled_values_and_labels[0][0],
@@ -538,7 +548,7 @@ def draw_swept_quantity(
         )
 
 
-def _scale_axis(axis: Axis, axis_values: np.ndarray) -> tuple[np.ndarray, str]:
+def _convert_axis_to_prefixed_unit(axis: Axis, axis_values: np.ndarray) -> tuple[np.ndarray, str]:
     """Scale an axis's values to a readable unit, mm for m; return values and label."""
     unit, unit_factor = unit_of_key(axis.key), 1.0
     if unit and unit not in SCENE_UNITS_WITHOUT_PREFIX:
@@ -589,16 +599,17 @@ def draw_tip_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
             plot_rotor.draw_tip_track(
                 blade_fit, path=picture_files(file_stem, caption), in_hertz=in_hertz
             )
-    if largest_blade_number := find_blade_of_largest_amplitude_or_none(tip_timing):
+    if blade_number_of_largest_amplitude := find_blade_of_largest_amplitude_or_none(tip_timing):
         caption = (
-            f"Blade {largest_blade_number}: arrivals over the period, the fit, and the engine "
+            f"Blade {blade_number_of_largest_amplitude}: arrivals over the period, the fit, and "
+            "the engine "
             "orders that were tried."
         )
-        blade_fit = tip_timing.fits[largest_blade_number]
+        blade_fit = tip_timing.fits[blade_number_of_largest_amplitude]
         assert isinstance(blade_fit, TipFit)
         plot_rotor.draw_tip_fit(
             blade_fit,
-            tip_timing.arrivals[largest_blade_number],
+            tip_timing.arrivals[blade_number_of_largest_amplitude],
             path=picture_files("timing", caption),
         )
 

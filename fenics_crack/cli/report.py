@@ -84,7 +84,9 @@ def plot_results(arguments: Namespace, _: None, console: Console) -> None:
         if not first_result_path.is_dir() and (len(result_files) > 1 or curve_labels):
             return [
                 str(
-                    _draw_curves(result_files, curve_labels, picture_folder, console.picture_format)
+                    _draw_curves_in_one_picture(
+                        result_files, curve_labels, picture_folder, console.picture_format
+                    )
                 )
             ]
         picture_files = PictureFiles(picture_folder, console.picture_format, has_vtk_files=True)
@@ -151,7 +153,7 @@ def _read_result_files_and_note(result_paths: Sequence[Path]) -> tuple[list[Stor
     result_files = [
         stored_file for stored_file in result_files if stored_file.kind != STRUCTURE_FILE_KIND
     ] or result_files
-    whole_files = [
+    standalone_result_files = [
         stored_file for stored_file in result_files if not has_omitted_options(stored_file)
     ]
     excluded_paths_text = (
@@ -160,18 +162,18 @@ def _read_result_files_and_note(result_paths: Sequence[Path]) -> tuple[list[Stor
             for stored_file in result_files
             if has_omitted_options(stored_file)
         )
-        if whole_files
+        if standalone_result_files
         else ""
     )
     return (
-        whole_files or result_files,
+        standalone_result_files or result_files,
         f"left out, as they are parts of other results: {excluded_paths_text}"
         if excluded_paths_text
         else "",
     )
 
 
-def _draw_curves(
+def _draw_curves_in_one_picture(
     result_files: Sequence[StoredFile],
     given_labels: Sequence[str],
     picture_folder: Path,
@@ -200,7 +202,7 @@ def _draw_curves(
         raise InputError(
             "--label", list(given_labels), f"given {len(result_files)} times, once for each result"
         )
-    curve_paths = [stored_file.path for stored_file in result_files]
+    curve_file_paths = [stored_file.path for stored_file in result_files]
     if {stored_file.kind for stored_file in result_files} != {ResponseCurve.KIND}:
         kind_names = [stored_file.kind for stored_file in result_files]
         raise InputError(
@@ -213,14 +215,18 @@ def _draw_curves(
         [curve_run.scene for curve_run in curve_runs]
     )
     if len(set(curve_labels)) < len(curve_labels):
-        path_texts = [str(Path(curve_path).with_suffix("")) for curve_path in curve_paths]
+        curve_file_path_texts = [
+            str(Path(curve_file_path).with_suffix("")) for curve_file_path in curve_file_paths
+        ]
         curve_labels = [
             ", ".join(filter(None, label_and_path))
-            for label_and_path in zip(curve_labels, path_texts, strict=True)
+            for label_and_path in zip(curve_labels, curve_file_path_texts, strict=True)
         ]
     if len(set(curve_labels)) < len(curve_labels):
         raise InputError(
-            "result", [str(curve_path) for curve_path in curve_paths], "different files, each once"
+            "result",
+            [str(curve_file_path) for curve_file_path in curve_file_paths],
+            "different files, each once",
         )
     if len(parameter_names := {curve_run.result.parameter for curve_run in curve_runs}) > 1:
         raise InputError(
@@ -230,7 +236,7 @@ def _draw_curves(
         )
     watched_names = {curve_run.watched_description for curve_run in curve_runs}
     title = watched_names.pop() if len(watched_names) == 1 else None
-    [axes] = picture = Picture(
+    [axes] = overlay_picture = Picture(
         size=(7.0, 4.6), path=picture_folder / f"overlay_curve.{picture_format}", title=title
     )
     for curve_label, curve_run, line_colour in zip(
@@ -244,7 +250,7 @@ def _draw_curves(
             colour=line_colour,
             in_hertz=curve_run.scene.is_frequency_in_hertz,
         )
-    picture.save_with_title()
+    overlay_picture.save_with_title()
     return picture_folder / f"overlay_curve.{picture_format}"
 
 
@@ -285,36 +291,40 @@ def _write_page(
             file_and_result[1].scene is None,
         )
     )
-    scene_results = [
+    results_with_scene = [
         result for _, result in files_and_results if result.scene is not None
     ]  # tip timing of a measured record has no scene
     scene_difference_texts = iter(
         describe_differences(
-            [result.scene.replace({"reduction": None}) for result in scene_results]
+            [result.scene.replace({"reduction": None}) for result in results_with_scene]
         )
     )
     kind_names = [stored_file.kind for stored_file, _ in files_and_results]
-    file_stems = [stored_file.path.stem for stored_file, _ in files_and_results]
+    result_file_stems = [stored_file.path.stem for stored_file, _ in files_and_results]
     picture_folder = make_folder_until_exit()
-    fields_of_results = []
+    page_fields_of_results = []
     for result_index, (stored_file, result) in enumerate(files_and_results):
         result_fields = _build_result_fields(
             stored_file, result, picture_folder / str(result_index)
         ) | {"differs": next(scene_difference_texts, "")}
         if kind_names.count(stored_file.kind) > 1:
-            is_repeated = file_stems.count(stored_file.path.stem) > 1
-            result_fields["heading"] += (
-                f": {stored_file.path.with_suffix('') if is_repeated else stored_file.path.stem}"
+            is_file_stem_repeated = result_file_stems.count(stored_file.path.stem) > 1
+            result_fields["heading"] += ": " + (
+                str(stored_file.path.with_suffix(""))
+                if is_file_stem_repeated
+                else stored_file.path.stem
             )
-        fields_of_results.append(result_fields)
+        page_fields_of_results.append(result_fields)
     page_fields = {
-        **(_build_scene_fields(scene_results[0], picture_folder) if scene_results else {}),
+        **(
+            _build_scene_fields(results_with_scene[0], picture_folder) if results_with_scene else {}
+        ),
         "title": f"Vibration of {files_and_results[0][0].path.resolve().parent.name}",
         "under": f"{datetime.now(UTC).astimezone():{DATE_FORMAT}}, fenics_crack {VERSION}",
-        "parts": fields_of_results,
+        "parts": page_fields_of_results,
         "doubts": [
             f"{result_fields['heading']}: {doubt_text}"
-            for result_fields in fields_of_results
+            for result_fields in page_fields_of_results
             for doubt_text in result_fields["doubts"]
         ],
         "versions": _tabulate_versions([stored_file for stored_file, _ in files_and_results]),
@@ -357,7 +367,7 @@ def _build_result_fields(
     )
     tables_by_caption = report.page_tables or {"In numbers": make_printed_table(report)}
     return {
-        "heading": RESULT_KIND_BY_NAME[stored_file.kind].heading,
+        "heading": RESULT_KIND_BY_NAME[stored_file.kind].page_heading,
         "closing": f"{_capitalize_sentence(report.closing_sentence)}.",
         "box": box_class,
         "notes": [
@@ -402,14 +412,14 @@ def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
             draw_scene_mesh(scene, picture_folder, structure), "The mesh with its named parts."
         )
     values_by_key = file_value_by_key(scene)
-    listed_keys = [
+    scene_keys_to_list = [
         key
         for table_name in LISTED_SCENE_TABLE_NAMES
         for key in values_by_key
         if key.startswith(f"{table_name}.")
     ]
     quantity_rows: list[tuple[str, object]] = [
-        (key_in_words(key), _format_value(key, values_by_key[key])) for key in listed_keys
+        (key_in_words(key), _format_value(key, values_by_key[key])) for key in scene_keys_to_list
     ]
     if scene.excitation.order is not None:
         quantity_rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))

@@ -89,10 +89,14 @@ def _yield_solution_notes(run: Run[PeriodicSolution]) -> Iterator[str]:
             "the stability is not assessed, as that would take long; to assess it, use "
             f"{reduction_text}contact.law = 'unilateral' if crack faces have no mass"
         )
-    if (order_and_ratio := find_largest_omitted_harmonic(solution, run.watched_dof)) is not None:
+    if (
+        omitted_harmonic_order_and_ratio := find_largest_omitted_harmonic(solution, run.watched_dof)
+    ) is not None:
         yield (
-            f"the largest harmonic above harmonic 1 is harmonic {order_and_ratio[0]}, with "
-            f"{order_and_ratio[1]:.2g} of harmonic 1 in the exact orbit; this solution leaves it "
+            "the largest harmonic above harmonic 1 is harmonic "
+            f"{omitted_harmonic_order_and_ratio[0]}, with "
+            f"{omitted_harmonic_order_and_ratio[1]:.2g} of harmonic 1 in the exact orbit; this "
+            "solution leaves it "
             "out: use more harmonics"
         )
 
@@ -109,16 +113,16 @@ def _yield_solution_warnings(
         yield f"{'' if solution.converged else 'not converged: '}{solution.status}"
     elif run.structure.n_pairs:
         yield from account.yield_large_error_warning(scene, solution.report, solution.harmonics)
-    if solution.still:
+    if solution.is_still:
         yield "nothing vibrates: no load varies in time; give one, for example excitation.force_sin"
     if not solution.converged:
         return
-    motion_text = ""
+    departing_motion_text = ""
     if stability is not None:
         if stability.verdict in ("unstable", "irregular"):
-            motion_text = account.describe_departing_motions(solution, run.watched_dof)
+            departing_motion_text = account.describe_departing_motions(solution, run.watched_dof)
         yield from account.yield_mode_dependence_warning(scene, solution, stability.verdict)
-    yield from account.yield_instability_warning(scene, run, stability, motion_text)
+    yield from account.yield_instability_warning(scene, run, stability, departing_motion_text)
     yield from account.yield_large_motion_warning(run, account.find_largest_displacements(run))
     yield from account.yield_nonunique_contact_force_warning(solution)
     yield from run.stated.point_force_warnings if run.stated is not None else ()
@@ -130,10 +134,10 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
     The result is a table by heading; empty in two dimensions, or if the scene requests no stress
     intensities at tips.
     """
-    requested_places = [
+    places_of_requested_quantities = [
         OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(run.scene)
     ]
-    if run.scene.dimension == 2 or Place.MOST_LOADED_TIP not in requested_places:
+    if run.scene.dimension == 2 or Place.MOST_LOADED_TIP not in places_of_requested_quantities:
         return {}
     stress_intensities = stress_intensity(run)
     columns_by_name = {
@@ -170,10 +174,10 @@ def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
         "from_rest": "" if stability is None else stability.from_rest,
         "rest_amplitude": np.nan if stability is None else stability.rest_amplitude,
     }
-    known_doubts_by_name = {
+    nonempty_doubts_by_name = {
         name: doubt for name, doubt in doubts_by_name.items() if doubt and doubt == doubt
     }
-    return known_doubts_by_name | (
+    return nonempty_doubts_by_name | (
         dict.fromkeys(ERROR_NAMES_NAN_IF_UNKNOWN, np.nan) if run.result.report.unknown else {}
     )
 
@@ -188,7 +192,7 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
     """
     history, scene = run.result, run.scene
     table = _tabulate_quantities(
-        run, scene.excitation.omega, vars(history) | {"distance": history.distance}
+        run, scene.excitation.omega, vars(history) | {"distance": history.distance_to_steady_motion}
     )
     integration_table, waveforms = scene.integration or Integration(), sample_waveforms(run)
     is_finished = (
@@ -342,7 +346,7 @@ class Waveforms(NamedTuple):
         Times.
     displacement : (n, n_watched) [m]
         Watched displacements.
-    closings_by_place : dict of str to (n,) [m]
+    gap_waveforms_by_place : dict of str to (n,) [m]
         Gaps at watched pairs, by description of the pair. A gap is positive while the pair is in
         contact.
     contact_force : (n, n_pairs) [N]
@@ -351,7 +355,7 @@ class Waveforms(NamedTuple):
 
     time: np.ndarray
     displacement: np.ndarray
-    closings_by_place: dict[str, np.ndarray]
+    gap_waveforms_by_place: dict[str, np.ndarray]
     contact_force: np.ndarray
 
 
@@ -371,10 +375,10 @@ def sample_waveforms(run: Run[Any]) -> Waveforms:
         displacement, gap = motion.displacement(instants, watched_dofs), motion.gap(instants)
         contact_force = motion.contact_force(instants)
     watched_pairs = structure.watched_pairs.values() if gap.size else ()
-    closings_by_place = {
+    gap_waveforms_by_place = {
         structure.describe_pair(pair_index): gap[:, pair_index] for pair_index in watched_pairs
     }
-    return Waveforms(instants, displacement, closings_by_place, contact_force)
+    return Waveforms(instants, displacement, gap_waveforms_by_place, contact_force)
 
 
 def _tabulate_waveforms(run: Run, waveforms: Waveforms) -> Table:
@@ -385,14 +389,14 @@ def _tabulate_waveforms(run: Run, waveforms: Waveforms) -> Table:
     headings = [
         "time [s]",
         *(f"{watched_displacement.words} [m]" for watched_displacement in run.watched),
-        *(f"closing {crack_place} [m]" for crack_place in waveforms.closings_by_place),
+        *(f"closing {crack_place} [m]" for crack_place in waveforms.gap_waveforms_by_place),
     ]
     column_arrays = [
         waveforms.time,
         *waveforms.displacement.T,
-        *waveforms.closings_by_place.values(),
+        *waveforms.gap_waveforms_by_place.values(),
     ]
-    if waveforms.closings_by_place:
+    if waveforms.gap_waveforms_by_place:
         headings.append("contact force, all pairs [N]")
         column_arrays.append(waveforms.contact_force.sum(axis=1))
     return Table(headings, np.column_stack(column_arrays).tolist())

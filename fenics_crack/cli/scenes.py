@@ -32,7 +32,7 @@ from fenics_crack.scene.result_tables import Curve
 from fenics_crack.scene.scene import Scene, list_requested_extra_quantities
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.key_figures import (
-    KeyFigures,
+    PreSolutionKeyFigures,
     find_key_figures,
     highest_harmonic_omega,
     is_response_proportional_to_load,
@@ -41,7 +41,7 @@ from fenics_crack.study.key_figures import (
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.prepare import (
     Study,
-    estimate_and_check_memory,
+    estimate_and_check_solution_memory,
     modal_reduction_or_none,
     prepare,
     release_freed_memory,
@@ -68,7 +68,7 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
     check_memory(structure, n_harmonics)
     is_run_up = scene.curve is not None and scene.curve.parameter_and_range[0] == "speed"
     release_freed_memory()
-    memory_bytes = estimate_and_check_memory(scene, structure, is_run_up=is_run_up)
+    memory_bytes = estimate_and_check_solution_memory(scene, structure, is_run_up=is_run_up)
     with console.report_stage("natural frequencies"):
         key_figures = find_key_figures(study)
     with console.report_stage("resonance at the load"):
@@ -81,14 +81,17 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
         mesh_errors = estimate_frequency_mesh_errors(
             study, omega_by_kind, load_resonance, key_figures.squared_omega_slopes
         )
-        vibration_mesh_error = (
+        vibration_amplitude_mesh_error = (
             0.0 if scene.structure is not None else mesh_errors.stated("vibration")[0]
         )
         key_figures = replace(
-            key_figures, load_resonance=replace(load_resonance, mesh_error=vibration_mesh_error)
+            key_figures,
+            load_resonance=replace(
+                load_resonance, amplitude_mesh_error=vibration_amplitude_mesh_error
+            ),
         )
     values_by_label: dict[str, object] = {
-        **({} if structure.nodes is None else _extents_by_label(key_figures)),
+        **({} if structure.nodes is None else _mesh_extents_by_label(key_figures)),
         **_cad_part_texts_by_label(scene, structure),
         "degrees of freedom": structure.n_dofs,
         **_frequencies_by_label(study.scene, key_figures),
@@ -103,14 +106,16 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
         **_curve_values_by_label(scene.curve, propose_curve_or_none(study.scene, key_figures)),
         **_sweep_values_by_label(scene, console),
     }
-    damping_remark_text = _describe_undamped_after_reduction(
+    damping_remark_text = _describe_harmonics_left_undamped(
         scene, structure, highest_harmonic_omega(scene)
     )
     scene_remarks = remarks_on_scene(study.scene, structure, key_figures)
     for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:
         structure_file.write_noted_structure(console.comm)
-    known_rows = [(label, value) for label, value in values_by_label.items() if value is not None]
-    console.print_table(Table(("what", "value"), known_rows))
+    rows_with_values = [
+        (label, value) for label, value in values_by_label.items() if value is not None
+    ]
+    console.print_table(Table(("what", "value"), rows_with_values))
     console.print_notes(damping_remark_text)
     console.print_remarks(*scene_remarks)
 
@@ -130,7 +135,7 @@ def make_missing_curve_error(scene: Scene, console: Console) -> InputError:
     return error
 
 
-def _extents_by_label(key_figures: KeyFigures) -> dict[str, object]:
+def _mesh_extents_by_label(key_figures: PreSolutionKeyFigures) -> dict[str, object]:
     """Return the mesh's side lengths [m] in a text, by label: "width x height [m]"."""
     side_names = ("width", "height", "thickness")[: len(key_figures.mesh_extents)]
     return {
@@ -147,27 +152,27 @@ def _cad_part_texts_by_label(scene: Scene, structure: Structure) -> dict[str, st
     """
     if scene.geometry is None or scene.geometry.file is None:
         return {}
-    from fenics_crack.fem.solid import part_text_by_name  # DOLFINx
+    from fenics_crack.fem.solid import describe_faces_cracks_and_fronts  # DOLFINx
 
-    return part_text_by_name(scene, structure)
+    return describe_faces_cracks_and_fronts(scene, structure)
 
 
-def _frequencies_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
+def _frequencies_by_label(scene: Scene, key_figures: PreSolutionKeyFigures) -> dict[str, object]:
     """Return natural frequencies and the load's frequency by printed label.
 
     Frequencies are in Hz and rad/s. Further values are the load frequency divided by the first
     natural frequency, with the crack open and bonded.
     """
     faces_text, load_omega = word_for_crack_faces(scene), scene.excitation.omega
-    has_faces = key_figures.n_face_elements is not None
+    has_crack_faces = key_figures.n_elements_along_face is not None
     frequencies_by_condition = {"": key_figures.omega_open}
-    if has_faces:
+    if has_crack_faces:
         frequencies_by_condition = {
             f", {faces_text} open": key_figures.omega_open,
             f", {faces_text} bonded": key_figures.omega_tied,
         }
     values_by_label: dict[str, object] = {}
-    if has_faces and scene.structure is None and scene.dimension == 2:
+    if has_crack_faces and scene.structure is None and scene.dimension == 2:
         values_by_label["modes"] = (
             "in the plate's plane: no out-of-plane bending (flap), no torsion"
         )
@@ -175,22 +180,23 @@ def _frequencies_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, ob
     for condition_text, frequencies in frequencies_by_condition.items():
         if not np.isfinite(frequencies).any():
             continue
-        first_omega, *next_omegas = frequencies[np.isfinite(frequencies)].tolist()
+        first_natural_omega, *next_natural_omegas = frequencies[np.isfinite(frequencies)].tolist()
         values_by_label |= {
-            f"first natural frequency{condition_text} [Hz]": first_omega / RAD_PER_TURN,
-            f"first natural frequency{condition_text} [rad/s]": first_omega,
+            f"first natural frequency{condition_text} [Hz]": first_natural_omega / RAD_PER_TURN,
+            f"first natural frequency{condition_text} [rad/s]": first_natural_omega,
             f"next natural frequencies{condition_text} [Hz]": ", ".join(
-                f"{next_omega / RAD_PER_TURN:.6g}" for next_omega in next_omegas
+                f"{next_natural_omega / RAD_PER_TURN:.6g}"
+                for next_natural_omega in next_natural_omegas
             ),
         }
         ratios_by_label[f"load frequency / first natural frequency{condition_text}"] = (
-            load_omega / first_omega if first_omega > 0.0 else None
+            load_omega / first_natural_omega if first_natural_omega > 0.0 else None
         )
-    load_values_by_label = {
+    load_frequencies_by_label = {
         "load frequency [Hz]": load_omega / RAD_PER_TURN,
         "load frequency [rad/s]": load_omega,
     }
-    return values_by_label | load_values_by_label | ratios_by_label
+    return values_by_label | load_frequencies_by_label | ratios_by_label
 
 
 def _mesh_error_texts_by_label(mesh_errors: Verification) -> dict[str, str | None]:
@@ -215,19 +221,21 @@ def _mesh_error_texts_by_label(mesh_errors: Verification) -> dict[str, str | Non
     }
 
 
-def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
+def _resonance_values_by_label(
+    scene: Scene, key_figures: PreSolutionKeyFigures
+) -> dict[str, object]:
     """Return the resonance at the load by printed label, or the reason if unknown.
 
     Under an engine order the resonance is a rotor speed. Without crack faces, the dict is empty.
     """
     load_resonance, engine_order = key_figures.load_resonance, scene.excitation.order
-    if key_figures.n_face_elements is None:
+    if key_figures.n_elements_along_face is None:
         return {}
     label = "resonance at the load"
     if scene.contact is not None and scene.contact.friction:
         label += ", without friction"
     if not math.isfinite(load_resonance.value):
-        return {label: load_resonance.in_words}
+        return {label: load_resonance.amplitude_and_errors_text}
     if engine_order is None or scene.disk is not None:
         values_by_label: dict[str, object] = {
             f"{label} [Hz]": load_resonance.value / RAD_PER_TURN,
@@ -239,16 +247,20 @@ def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[st
             f"{label} [rad/s]": load_resonance.value,
             f"{label} [rpm]": load_resonance.value / RAD_PER_S_PER_RPM,
         }
-    is_proportional = is_response_proportional_to_load(scene) and not (
-        key_figures.n_closed_pairs or key_figures.opening_under_mean_load or load_resonance.unknown
+    is_vibration_proportional_to_load = is_response_proportional_to_load(scene) and not (
+        key_figures.n_pairs_closed_by_mean_load
+        or key_figures.opening_under_mean_load
+        or load_resonance.unknown
     )
-    values_by_label["vibration at this resonance"] = load_resonance.in_words + (
-        "; proportional to the load" if is_proportional else ""
+    values_by_label["vibration at this resonance"] = load_resonance.amplitude_and_errors_text + (
+        "; proportional to the load" if is_vibration_proportional_to_load else ""
     )
     return values_by_label
 
 
-def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
+def _rotation_values_by_label(
+    scene: Scene, key_figures: PreSolutionKeyFigures
+) -> dict[str, object]:
     """Return values for a rotating structure by printed label; empty without rotation.
 
     The values are the rotor speed, and the crack opening due to centrifugal forces and mean load.
@@ -256,17 +268,19 @@ def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str
     """
     if scene.speed == 0.0:
         return {}
-    has_faces = key_figures.n_face_elements is not None
+    has_crack_faces = key_figures.n_elements_along_face is not None
     return {
         "rotor speed [rad/s]": scene.speed,
         "rotor speed [rpm]": scene.speed / RAD_PER_S_PER_RPM,
         "crack opening by rotation and mean load [m]": (
-            key_figures.opening_under_mean_load if has_faces else None
+            key_figures.opening_under_mean_load if has_crack_faces else None
         ),
     }
 
 
-def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) -> dict[str, object]:
+def _crack_and_contact_values_by_label(
+    study: Study, key_figures: PreSolutionKeyFigures
+) -> dict[str, object]:
     """Return crack lengths, contact law and static stiffness by printed label.
 
     Stiffnesses [N/m] are for each contact pair. A rigid law has the contact stiffness None. Lengths
@@ -357,13 +371,13 @@ def _describe_reduction(study: Study) -> str:
     """Describe the reduction of a study in words: method and modes, or "none"."""
     scene = study.scene
     scene_reduction = modal_reduction_or_none(scene, study.structure)
-    mode_counts = candidate_mode_counts(study)
+    mode_counts_to_try = candidate_mode_counts(study)
     if scene_reduction is None:
         return "none"
     modes_text = format_count(scene_reduction.n_modes, "mode")
-    if mode_counts:
+    if mode_counts_to_try:
         modes_text = (
-            f"{format_count(mode_counts[0], 'mode')} or more, until the error is below "
+            f"{format_count(mode_counts_to_try[0], 'mode')} or more, until the error is below "
             f"{scene.harmonic_balance.tolerance:g}"
         )
     if scene_reduction.method == "massless":
@@ -383,9 +397,9 @@ def _describe_invalid_cases(scene: Scene) -> str:
         *itertools.islice(np.ndindex(*sweep_plan.shape), 10_000)
     ]  # others while they are run
     reason_texts = [
-        case_or_reason
-        for case_or_reason in map(sweep_plan.scene_or_reason_at, checked_case_indices)
-        if isinstance(case_or_reason, str)
+        case_scene_or_refusal_reason
+        for case_scene_or_refusal_reason in map(sweep_plan.scene_or_reason_at, checked_case_indices)
+        if isinstance(case_scene_or_refusal_reason, str)
     ]
     scope_text = (
         f" of the first {len(checked_case_indices)}"
@@ -395,7 +409,7 @@ def _describe_invalid_cases(scene: Scene) -> str:
     return f"{len(reason_texts)}{scope_text}" + (f": {reason_texts[0]}" if reason_texts else "")
 
 
-def _describe_undamped_after_reduction(
+def _describe_harmonics_left_undamped(
     scene: Scene, structure: Structure, highest_omega: float
 ) -> str:
     """Remark that harmonics lie above all damped modes, after the scene's reduction (collective).
@@ -405,12 +419,12 @@ def _describe_undamped_after_reduction(
     empty. Otherwise see :func:`describe_undamped_harmonics`.
     """
     scene_reduction = modal_reduction_or_none(scene, structure)
-    damping_ratio = None if scene.damping is None else scene.damping.ratio
+    scene_damping_ratios = None if scene.damping is None else scene.damping.ratio
     if (
         scene_reduction is not None
         and scene_reduction.method == "massless"
-        and damping_ratio is not None
-        and np.ravel(damping_ratio)[-1] > 0.0  # the last ratio damps all further modes
+        and scene_damping_ratios is not None
+        and np.ravel(scene_damping_ratios)[-1] > 0.0  # the last ratio damps all further modes
     ):
         return ""
     return describe_undamped_harmonics(structure, highest_omega)

@@ -54,14 +54,14 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
     }
     counts_by_state["pending"] = sweep_result.converged.size - sum(counts_by_state.values())
     states_text = ", ".join(
-        f"{case_count} {state_name}"
-        for state_name, case_count in counts_by_state.items()
-        if case_count
+        f"{n_cases_in_state} {state_name}"
+        for state_name, n_cases_in_state in counts_by_state.items()
+        if n_cases_in_state
     )
     n_high_order_cases = int(np.sum(sweep_result["largest_order"] > 3))
-    high_order_note = ""
+    high_harmonic_note = ""
     if n_high_order_cases:
-        high_order_note = (
+        high_harmonic_note = (
             f"in {format_count(n_high_order_cases, 'case')} the largest harmonic above harmonic 1 "
             "is above harmonic 3; see the columns ratio_largest and largest_order"
         )
@@ -76,7 +76,7 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
         sweep_result.table(),
         sweep_result.build_conclusion(),
         printed_table=short_table,
-        notes=[f"cases: {states_text}{selection_text}", high_order_note],
+        notes=[f"cases: {states_text}{selection_text}", high_harmonic_note],
         warnings=[*yield_sweep_warnings(sweep_result)],
         page_tables=tables_by_heading,
         remarks=[*remarks_on_scene(sweep_result.scene), *list_skipped_peak_remarks(sweep_result)],
@@ -98,7 +98,9 @@ def yield_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
     if counts_by_verdict["undecided"] == verdicts.size > 0:
         yield "the stability is undecided in all cases"
     elif verdict_counts_text := " and ".join(
-        f"{case_count} {verdict}" for verdict, case_count in counts_by_verdict.items() if case_count
+        f"{n_cases_with_verdict} {verdict}"
+        for verdict, n_cases_with_verdict in counts_by_verdict.items()
+        if n_cases_with_verdict
     ):
         yield f"stability: {verdict_counts_text} of {format_count(verdicts.size, 'case')}"
     yield from iterate_texts_by_reason(
@@ -106,7 +108,7 @@ def yield_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
     )
     for warning_text in iterate_texts_by_reason(
         sweep_result,
-        sweep_result.contradicted_indices_and_verdicts,
+        sweep_result.cases_contradicted_by_more_modes,
         f"or more with a verdict on stability that {TRUNCATED_MODES_DEPENDENCE_REMARK}",
     ):
         yield f"{warning_text}; raise {sweep_result.scene.modes_key}"
@@ -171,19 +173,24 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
     if not axis_indices:
         return []
     swept_axis = sweep_result.axes[axis_indices[0]]
-    complex_responses = sweep_result["sine_1"] + 1j * sweep_result["cosine_1"]
+    complex_responses_of_cases = sweep_result["sine_1"] + 1j * sweep_result["cosine_1"]
     sorting_index = np.argsort(swept_axis.values)
-    complex_responses = np.moveaxis(complex_responses, axis_indices[0], -1)[..., sorting_index]
+    complex_responses_of_cases = np.moveaxis(complex_responses_of_cases, axis_indices[0], -1)[
+        ..., sorting_index
+    ]
     if swept_axis.key in ROTOR_SPEED_KEYS and sweep_result.scene.excitation.order is None:
-        complex_responses = (
-            complex_responses.conj()
+        complex_responses_of_cases = (
+            complex_responses_of_cases.conj()
         )  # the natural frequency rises past the load's constant frequency
-    is_skipped = (
-        np.angle(complex_responses[..., 1:] * np.conj(complex_responses[..., :-1])) < -0.5 * np.pi
+    is_peak_within_step = (
+        np.angle(
+            complex_responses_of_cases[..., 1:] * np.conj(complex_responses_of_cases[..., :-1])
+        )
+        < -0.5 * np.pi
     )
-    if not is_skipped.any():
+    if not is_peak_within_step.any():
         return []
-    *other_axis_indices, step_index = map(int, np.argwhere(is_skipped)[0])
+    *value_indices_on_other_axes, step_index = map(int, np.argwhere(is_peak_within_step)[0])
     end_values = (
         swept_axis.values[value_index] for value_index in sorting_index[step_index : step_index + 2]
     )
@@ -192,11 +199,13 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
         axis for axis_index, axis in enumerate(sweep_result.axes) if axis_index != axis_indices[0]
     ]
     location_text = "".join(
-        f", {axes_text}"
-        for axes_text in [describe_swept_values(other_axes, other_axis_indices)]
-        if axes_text
+        f", {other_axis_values_text}"
+        for other_axis_values_text in [
+            describe_swept_values(other_axes, value_indices_on_other_axes)
+        ]
+        if other_axis_values_text
     )
-    n_further_steps = int(is_skipped.sum()) - 1
+    n_further_steps = int(is_peak_within_step.sum()) - 1
     further_text = (
         f", and at {format_count(n_further_steps, 'other place')}" if n_further_steps else ""
     )
@@ -224,35 +233,46 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
         Selection of cases in words; empty if all cases are kept.
     """
     axis_keys = [axis.key for axis in sweep_result.axes]
-    indicator_names = (
+    printed_observable_names = (
         "response",
         *observable_names(required_flags=IN_SPECIAL_POINTS_TABLE),
     )  # the amplitude at the load
     quantity_names = [
         quantity_name
         for quantity_name in sweep_result.quantities
-        if sweep_result.scene.quantities or quantity_name.rpartition(".")[2] in indicator_names
+        if sweep_result.scene.quantities
+        or quantity_name.rpartition(".")[2] in printed_observable_names
     ]
-    state_names = [] if np.all(sweep_result.converged) else ["state"]
+    state_column_names = [] if np.all(sweep_result.converged) else ["state"]
     verdict_set = set(sweep_result["verdict"][sweep_result.converged].tolist())
     has_verdicts = not (verdict_set <= {""} or verdict_set == {"undecided"})
-    verdict_names = ["verdict"] if has_verdicts else []
-    table = sweep_result.table(*axis_keys, *state_names, *quantity_names, *verdict_names)
+    verdict_column_names = ["verdict"] if has_verdicts else []
+    table = sweep_result.table(
+        *axis_keys, *state_column_names, *quantity_names, *verdict_column_names
+    )
     if len(table.rows) <= N_PRINTED_ROWS_OF_LONG_RESULT:
         return table, ""
     axis_index = int(np.argmax(sweep_result.shape))
-    for frequency_key in LOAD_FREQUENCY_KEYS:
-        axis_index = axis_keys.index(frequency_key) if frequency_key in axis_keys else axis_index
-    responses = np.nan_to_num(sweep_result["response"], nan=-1.0)
-    row_numbers = np.arange(responses.size).reshape(responses.shape)
-    peak_indices = np.expand_dims(responses.argmax(axis=axis_index), axis_index)
-    row_indices = np.take_along_axis(row_numbers, peak_indices, axis_index).ravel()
+    for load_frequency_key in LOAD_FREQUENCY_KEYS:
+        axis_index = (
+            axis_keys.index(load_frequency_key) if load_frequency_key in axis_keys else axis_index
+        )
+    responses_of_all_cases = np.nan_to_num(sweep_result["response"], nan=-1.0)
+    row_numbers_of_all_cases = np.arange(responses_of_all_cases.size).reshape(
+        responses_of_all_cases.shape
+    )
+    peak_indices_along_axis = np.expand_dims(
+        responses_of_all_cases.argmax(axis=axis_index), axis_index
+    )
+    row_indices = np.take_along_axis(
+        row_numbers_of_all_cases, peak_indices_along_axis, axis_index
+    ).ravel()
     selection_text = (
         f"; the table has the largest responses over {axis_keys[axis_index]}, "
         f"{sweep_result.path.stem}.csv has all cases"
     )
     if len(row_indices) > N_PRINTED_ROWS_OF_LONG_RESULT:
-        descending_order = np.argsort(-responses.ravel()[row_indices], kind="stable")[
+        descending_order = np.argsort(-responses_of_all_cases.ravel()[row_indices], kind="stable")[
             :N_PRINTED_ROWS_OF_LONG_RESULT
         ]
         selection_text = (

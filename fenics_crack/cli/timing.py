@@ -64,21 +64,23 @@ def fit_and_report_timing(
         inputs.results_folder,
         inputs.arrival_source,
     )
-    timing_table, arrivals_path = scene.given("tip_timing"), result_folder / "arrivals.csv"
+    timing_table, arrivals_output_path = scene.given("tip_timing"), result_folder / "arrivals.csv"
     with console.report_stage("arrival times"):
         arrivals_by_blade, run = scene_timing.arrivals_of_blades(
             scene, arrival_source, console.comm
         )
     first_blade_arrivals = next(iter(arrivals_by_blade.values()))
     if scene.disk is None:
-        _write_and_draw_arrivals(first_blade_arrivals, arrivals_path, scene, run, console)
+        _write_and_draw_arrivals(first_blade_arrivals, arrivals_output_path, scene, run, console)
     elif run is not None:
         on_root(
             console.comm,
-            lambda: write_record(arrivals_by_blade, arrivals_path, np.radians(timing_table.probes)),
+            lambda: write_record(
+                arrivals_by_blade, arrivals_output_path, np.radians(timing_table.probes)
+            ),
         )
         console.print_notes(
-            f"arrivals of {format_count(len(arrivals_by_blade), 'blade')}: {arrivals_path}"
+            f"arrivals of {format_count(len(arrivals_by_blade), 'blade')}: {arrivals_output_path}"
         )
     fits_by_blade = _fit_vibration_by_blade(timing_table, arrivals_by_blade, console, scene, run)
     if scene.disk is not None and not all(
@@ -97,7 +99,7 @@ def fit_and_report_timing(
 
 def _write_and_draw_arrivals(
     arrivals: ArrivalTimes,
-    arrivals_path: Path,
+    arrivals_output_path: Path,
     scene: Scene,
     run: Run[Any] | None,
     console: Console,
@@ -108,7 +110,7 @@ def _write_and_draw_arrivals(
     ----------
     arrivals : ArrivalTimes
         Arrivals at a single blade.
-    arrivals_path : Path
+    arrivals_output_path : Path
         File for the CSV; the picture's name differs in the ending only.
     scene : Scene
         Scene with the unit of speeds.
@@ -119,12 +121,14 @@ def _write_and_draw_arrivals(
     """
 
     def write_files() -> None:
-        arrivals.to_csv(arrivals_path)
-        picture_path = arrivals_path.with_suffix(f".{console.picture_format}")
+        arrivals.to_csv(arrivals_output_path)
+        picture_path = arrivals_output_path.with_suffix(f".{console.picture_format}")
         draw_arrivals(arrivals, path=picture_path, in_rpm=scene.is_speed_in_rpm)
 
     table_text = arrivals.table().format_as("csv")
-    console.print_notes(keep_previous_files_with_note(arrivals_path, table_text, console.comm))
+    console.print_notes(
+        keep_previous_files_with_note(arrivals_output_path, table_text, console.comm)
+    )
     on_root(console.comm, write_files)
     first_speed_text, last_speed_text = (
         format_speed(arrivals.speed[row_index], scene.is_speed_in_rpm) for row_index in (0, -1)
@@ -135,7 +139,8 @@ def _write_and_draw_arrivals(
         else first_speed_text
     )
     console.print_notes(
-        f"arrivals of {_describe_arrival_counts(arrivals)}, {speed_range_text}: {arrivals_path}, "
+        f"arrivals of {_describe_arrival_counts(arrivals)}, {speed_range_text}: "
+        f"{arrivals_output_path}, "
         f".{console.picture_format}"
     )
     if run is not None:
@@ -202,7 +207,7 @@ def _yield_timing_warnings(
     orbit. ``run`` is the run used to compute the arrivals; None for measured arrivals.
     """
     if run is None:
-        yield from scene_timing.list_arrival_remarks(arrivals)
+        yield from scene_timing.list_arrival_unit_remarks(arrivals)
         record_and_scene_speeds = arrivals.mean_speed, scene.speed
         if (
             scene.speed > 0.0
@@ -235,25 +240,32 @@ def _fit_and_report_record(arguments: Namespace, console: Console) -> Exit:
     the probes' angles, in the file or as ``tip_timing.probes``, unless a frequency range is given.
     Returns the exit code.
     """
-    table_values_by_name = {}
-    for full_key, key_value in parse_changes(arguments.set).items():
+    timing_settings_from_options = {}
+    for full_key, value_of_scene_key in parse_changes(arguments.set).items():
         table_name, _, key_name = full_key.partition(".")
         if table_name != "tip_timing" or key_name not in TIMING_KEYS_FOR_RECORD_WITHOUT_SCENE:
             allowed_keys_text = ", ".join(
-                f"tip_timing.{record_key}" for record_key in TIMING_KEYS_FOR_RECORD_WITHOUT_SCENE
+                f"tip_timing.{allowed_timing_key}"
+                for allowed_timing_key in TIMING_KEYS_FOR_RECORD_WITHOUT_SCENE
             )
             raise InputError(
                 full_key,
-                key_value,
+                value_of_scene_key,
                 f"left out with a record in place of a scene; {allowed_keys_text} can be set",
             )
-        table_values_by_name[key_name] = TipTiming.convert_value(key_name, key_value)
+        timing_settings_from_options[key_name] = TipTiming.convert_value(
+            key_name, value_of_scene_key
+        )
     with console.report_stage("arrival times"):
         probe_angles = (
-            np.radians(table_values_by_name["probes"]) if "probes" in table_values_by_name else None
+            np.radians(timing_settings_from_options["probes"])
+            if "probes" in timing_settings_from_options
+            else None
         )
         arrivals_by_blade = read_record(
-            arguments.scene, tip_radius=table_values_by_name.get("tip_radius"), probes=probe_angles
+            arguments.scene,
+            tip_radius=timing_settings_from_options.get("tip_radius"),
+            probes=probe_angles,
         )
         arrivals_by_blade = select_blades(arrivals_by_blade, arguments.blade, arguments.scene)
     result_folder = arguments.output or Path("output") / arguments.scene.stem
@@ -264,18 +276,21 @@ def _fit_and_report_record(arguments: Namespace, console: Console) -> Exit:
         f"{_describe_arrival_counts(first_blade_arrivals)}"
     )
     needs_probes = (
-        first_blade_arrivals.steady and not {"probes", "frequencies"} & table_values_by_name.keys()
+        first_blade_arrivals.steady
+        and not {"probes", "frequencies"} & timing_settings_from_options.keys()
     )
     if needs_probes and not has_probe_angles(arguments.scene):
         raise InputError("tip_timing.probes", None, PROBES_REQUIREMENT_TEXT)
-    record_values_by_name = {
+    timing_settings_from_record = {
         "probes": np.degrees(first_blade_arrivals.probes).tolist(),
         "tip_radius": first_blade_arrivals.tip_radius,
     }
     fits_by_blade = _fit_vibration_by_blade(
-        TipTiming(**record_values_by_name | table_values_by_name), arrivals_by_blade, console
+        TipTiming(**timing_settings_from_record | timing_settings_from_options),
+        arrivals_by_blade,
+        console,
     )
-    doubt_texts = tuple(scene_timing.list_arrival_remarks(first_blade_arrivals))
+    doubt_texts = tuple(scene_timing.list_arrival_unit_remarks(first_blade_arrivals))
     return _write_timing_report(
         Timing(None, arrivals_by_blade, fits_by_blade, doubt_texts), result_folder, console
     )

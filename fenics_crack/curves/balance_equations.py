@@ -68,7 +68,7 @@ class BalanceEquations(CurveSystem):
             raise InputError("contact", problem.contact, contact_requirement)
         self.problem, self.start, self.end = problem, start, end
         self._unvaried_compliance_model = ModalCompliance(
-            problem.structure_with_row_pairs, problem.base_omega, problem.load
+            problem.structure_with_pair_per_row, problem.base_omega, problem.load
         )
         self._last_value_and_system: tuple[float, ContactSystem] | None = None
         start_system = self.system(start)
@@ -114,7 +114,7 @@ class BalanceEquations(CurveSystem):
         start, and under the law at the end.
         """
         laws = (self.problem_at(value).contact for value in (self.start, self.end))
-        return max(self.system(self.start).max_contact_stiffness(law) for law in laws)
+        return max(self.system(self.start).max_series_contact_stiffness(law) for law in laws)
 
     @classmethod
     @abstractmethod
@@ -217,9 +217,7 @@ class BalanceEquations(CurveSystem):
             max_compliance_row_sum = float(np.abs(dynamic_less_static_compliance).sum(axis=2).max())
         return residual_rounding(4.0 * max_compliance_row_sum * self.max_force_slope)
 
-    def relative_motion_change_over_half_period(
-        self, unknown: np.ndarray, parameter: float
-    ) -> float:
+    def half_period_repetition_error(self, unknown: np.ndarray, parameter: float) -> float:
         """Return a motion's change over half its period, relative to its size.
 
         The change is twice the odd harmonics; it is 0 if the motion has half the period.
@@ -325,10 +323,10 @@ class BalanceAlongLoadFactor(_BalanceOfVariedStructure):
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
         super().check_value(structure, key, value)
         if structure.whole.rotation is not None:
-            parameter_requirement = (
+            other_parameter_requirement = (
                 "another parameter, as the mean load includes the centrifugal force of rotation"
             )
-            raise InputError("parameter", "load", parameter_requirement)
+            raise InputError("parameter", "load", other_parameter_requirement)
 
 
 class BalanceAlongDampingFactor(_BalanceOfVariedStructure):
@@ -418,16 +416,16 @@ class BalanceAlongSpeed(BalanceEquations):
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
         super().check_value(structure, key, value)
-        as_run_up_structure(structure)
+        require_run_up_structure(structure)
 
     @classmethod
     def vary_problem(cls, problem: Problem, value: float) -> Problem:
-        structure = as_run_up_structure(problem.structure).at_speed(value)
+        structure = require_run_up_structure(problem.structure).at_speed(value)
         return replace(problem, structure=structure, omega=cls.load_frequency(problem, value))
 
     @classmethod
     def load_frequency(cls, problem: Problem, value: float) -> float:
-        return problem.omega * value / as_run_up_structure(problem.structure).speed
+        return problem.omega * value / require_run_up_structure(problem.structure).speed
 
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Return the frequency above which modes are quasi-static on the whole curve [rad/s].
@@ -437,23 +435,25 @@ class BalanceAlongSpeed(BalanceEquations):
         stays below the cutoff and the other above. If there are no such modes, the result is the
         larger of the cutoffs at start and end.
         """
-        min_cutoff = super()._common_cutoff(problem, start, end)
-        run_up_structure = as_run_up_structure(problem.structure)
+        cutoff_lower_bound = super()._common_cutoff(problem, start, end)
+        run_up_structure = require_run_up_structure(problem.structure)
         speeds = start, 0.5 * (start + end), end
         natural_frequencies = np.array([run_up_structure.at_speed(speed).omega for speed in speeds])
-        lower_mode_max_frequencies = natural_frequencies.max(axis=0)[:-1]
-        upper_mode_min_frequencies = natural_frequencies.min(axis=0)[1:]
-        can_hold_cutoff = (upper_mode_min_frequencies > min_cutoff) & (
-            upper_mode_min_frequencies > lower_mode_max_frequencies * (1.0 + 1e-6)
+        lower_mode_max_over_speeds = natural_frequencies.max(axis=0)[:-1]
+        upper_mode_min_over_speeds = natural_frequencies.min(axis=0)[1:]
+        can_hold_cutoff = (upper_mode_min_over_speeds > cutoff_lower_bound) & (
+            upper_mode_min_over_speeds > lower_mode_max_over_speeds * (1.0 + 1e-6)
         )
-        possible_cutoffs = np.sqrt(lower_mode_max_frequencies * upper_mode_min_frequencies)[
+        possible_cutoffs = np.sqrt(lower_mode_max_over_speeds * upper_mode_min_over_speeds)[
             can_hold_cutoff
         ]
-        return float(max([min_cutoff, *possible_cutoffs[:1]]))
+        return float(max([cutoff_lower_bound, *possible_cutoffs[:1]]))
 
     def compliance_model_at(self, value: float) -> ModalCompliance:
         problem = self.problem_at(value)
-        return ModalCompliance(problem.structure_with_row_pairs, problem.base_omega, problem.load)
+        return ModalCompliance(
+            problem.structure_with_pair_per_row, problem.base_omega, problem.load
+        )
 
     def _residual_derivative_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         speed_step = CENTRAL_DIFFERENCE_STEP * value
@@ -465,18 +465,20 @@ class BalanceAlongSpeed(BalanceEquations):
         return np.asarray((residual_at_upper_speed - residual_at_lower_speed) / (2.0 * speed_step))
 
 
-def as_run_up_structure(structure: Structure) -> RunUpStructure:
+def require_run_up_structure(structure: Structure) -> RunUpStructure:
     """Return the structure if it has modes at every speed, else raise InputError.
 
     Such a structure comes from :func:`fenics_crack.run_up_structure`.
     """
     if not isinstance(structure, RunUpStructure):
-        requirement = "a structure as fc.run_up_structure(structure, start, stop, modes) returns"
-        raise InputError("structure", repr(structure), requirement)
+        run_up_structure_requirement = (
+            "a structure as fc.run_up_structure(structure, start, stop, modes) returns"
+        )
+        raise InputError("structure", repr(structure), run_up_structure_requirement)
     return structure
 
 
-class BalanceAtResonance(BalanceEquations):
+class BalanceAlongVibratingLoadFactor(BalanceEquations):
     """Harmonic-balance equations at a phase resonance, along a factor for the vibrating load.
 
     The mean load is not multiplied. The load frequency follows the resonance
@@ -502,7 +504,7 @@ EQUATIONS_CLASS_BY_PARAMETER: dict[str, type[BalanceEquations]] = {
         BalanceAlongClearance,
         BalanceAlongFrictionFactor,
         BalanceAlongSpeed,
-        BalanceAtResonance,
+        BalanceAlongVibratingLoadFactor,
     )
 }
 """Class of the harmonic-balance equations for each name in :attr:`ResponseCurve.parameter`."""

@@ -29,7 +29,7 @@ from fenics_crack.numerics.newton import (
     PathPoint,
     Tangent,
     chord_length,
-    norm_weights_at,
+    norm_weights_of_unknowns_and_means,
     predict_and_correct,
     tangent_of,
 )
@@ -37,11 +37,11 @@ from fenics_crack.numerics.path import (
     MIN_EQUAL_DIRECTION_COSINE,
     MIN_RESOLVED_DISTANCE,
     BranchPoint,
+    ConsecutivePathPoints,
     Event,
     Fold,
     PathOptions,
-    PathSegment,
-    SegmentEnds,
+    StepEnds,
 )
 
 
@@ -57,7 +57,7 @@ class ReturnToParent(Event):
     def __init__(self, system: CurveSystem) -> None:
         self._system, self._crossing_events = system, (Fold(), BranchPoint())
 
-    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: ConsecutivePathPoints) -> np.ndarray:
         return np.asarray(
             np.any(
                 [
@@ -68,14 +68,14 @@ class ReturnToParent(Event):
             )
         )
 
-    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: StepEnds, rtol: float) -> PathPoint | None:
         for crossing_event in self._crossing_events:
             crossing_point = crossing_event.locate(system, ends, rtol)
             if crossing_point is not None:
-                relative_motion_change = self._system.relative_motion_change_over_half_period(
+                motion_repetition_error = self._system.half_period_repetition_error(
                     crossing_point.unknown, crossing_point.parameter
                 )
-                if relative_motion_change <= math.sqrt(MIN_RESOLVED_DISTANCE):
+                if motion_repetition_error <= math.sqrt(MIN_RESOLVED_DISTANCE):
                     return crossing_point
         return None
 
@@ -92,13 +92,21 @@ def path_points_with_chord(
     returned in this order.
     """
     end_values = curve.values[[first_index, last_index]].tolist()
-    end_point_rows = curve.points[[first_index, last_index]]
-    first_unknown, last_unknown = map(system.unknown, end_point_rows, end_values)
-    first_parameter, last_parameter = map(system.parameter, end_values)
-    unknown_and_parameter_change = last_unknown - first_unknown, last_parameter - first_parameter
-    chord_tangent = Tangent(*unknown_and_parameter_change, *norm_weights_at(system, last_unknown))
-    first_path_point = PathPoint(first_unknown, first_parameter, 0, chord_tangent)
-    return first_path_point, PathPoint(last_unknown, last_parameter, 0, chord_tangent)
+    unscaled_chord_end_solutions = curve.points[[first_index, last_index]]
+    chord_start_unknown, chord_end_unknown = map(
+        system.unknown, unscaled_chord_end_solutions, end_values
+    )
+    chord_start_parameter, chord_end_parameter = map(system.parameter, end_values)
+    unknown_and_parameter_change = (
+        chord_end_unknown - chord_start_unknown,
+        chord_end_parameter - chord_start_parameter,
+    )
+    chord_tangent = Tangent(
+        *unknown_and_parameter_change,
+        *norm_weights_of_unknowns_and_means(system, chord_end_unknown),
+    )
+    chord_start_point = PathPoint(chord_start_unknown, chord_start_parameter, 0, chord_tangent)
+    return chord_start_point, PathPoint(chord_end_unknown, chord_end_parameter, 0, chord_tangent)
 
 
 def find_branch_start_point(
@@ -127,15 +135,21 @@ def find_branch_start_point(
     ConvergenceError
         No point of another branch was found.
     """
-    bifurcation_kind, [bifurcation_point_row] = bifurcation.kind, bifurcation.point.points
-    bifurcation_unknown = system.unknown(bifurcation_point_row, bifurcation.value)
+    bifurcation_kind, [unscaled_bifurcation_solution] = (
+        bifurcation.kind,
+        bifurcation.single_point_curve.points,
+    )
+    bifurcation_unknown = system.unknown(unscaled_bifurcation_solution, bifurcation.value)
     bifurcation_parameter = system.parameter(bifurcation.value)
     is_doubling = bifurcation_kind == "period_doubling"
     parent_tangent = None
     if parent_curve is not None:
-        nearest_index, end_index = parent_curve.nearest(bifurcation), len(parent_curve) - 1
+        nearest_index, last_parent_index = parent_curve.nearest(bifurcation), len(parent_curve) - 1
         neighbour_points = path_points_with_chord(
-            system, parent_curve, max(nearest_index - 1, 0), min(nearest_index + 1, end_index)
+            system,
+            parent_curve,
+            max(nearest_index - 1, 0),
+            min(nearest_index + 1, last_parent_index),
         )
         parent_tangent = neighbour_points[0].tangent
     branch_tangent = _branch_tangent(
@@ -145,7 +159,8 @@ def find_branch_start_point(
     residual_tolerance = max(PathOptions.rtol, system.rounding(bifurcation_parameter))
     # Distances from the bifurcation to try, relative to the longest step.
     for step_length in (
-        step_fraction * longest_step for step_fraction in (0.1, 0.03, 0.3, 0.01, 1.0)
+        fraction_of_longest_step * longest_step
+        for fraction_of_longest_step in (0.1, 0.03, 0.3, 0.01, 1.0)
     ):
         with suppress(ConvergenceError):
             candidate_point = predict_and_correct(
@@ -165,7 +180,7 @@ def find_branch_start_point(
             # On a doubled branch (multiplier -1), half a period changes x by twice the step.
             is_on_new_branch = (
                 not is_doubling
-                or system.relative_motion_change_over_half_period(
+                or system.half_period_repetition_error(
                     candidate_point.unknown, candidate_point.parameter
                 )
                 > step_length

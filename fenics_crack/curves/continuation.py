@@ -25,7 +25,7 @@ import numpy as np
 
 from fenics_crack.balance.harmonic_balance import (
     check_initial,
-    search_initial_orbit,
+    search_orbit_by_harmonic_balance,
     solve_from_neighbour,
 )
 from fenics_crack.balance.problem import Problem, check_memory
@@ -38,7 +38,10 @@ from fenics_crack.basics.errors import (
     check_count,
     check_number,
 )
-from fenics_crack.basics.suggestions import fit_argument_to_annotation, with_old_names
+from fenics_crack.basics.suggestions import (
+    check_argument_class_or_unwrap_run,
+    keep_old_attribute_names,
+)
 from fenics_crack.basics.tables import format_count, format_in_unit
 from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER
 from fenics_crack.curves.branch import ReturnToParent, find_branch_start_point
@@ -62,26 +65,26 @@ from fenics_crack.numerics.newton import PathPoint, Tangent, tangent_of
 from fenics_crack.numerics.path import (
     MIN_RESOLVED_DISTANCE,
     ClosedLoop,
+    ConsecutivePathPoints,
     EndReason,
     Event,
     Path,
     PathOptions,
-    PathSegment,
     Target,
     step_control_values_or_none,
 )
 
 
-class StepLimitsKeywords(TypedDict, total=False):
-    """Keyword arguments for the steps along a curve, with the meaning in :class:`StepLimits`."""
+class ContinuationLimitsKeywords(TypedDict, total=False):
+    """Keyword arguments for the steps along a curve, as in :class:`ContinuationLimits`."""
 
     longest_step: float
     most_points: int
-    turning_back: float
+    max_turn_back_fraction: float
 
 
 @dataclass(frozen=True)
-class StepLimits:
+class ContinuationLimits:
     """Step limits for a curve.
 
     Attributes
@@ -90,22 +93,23 @@ class StepLimits:
         Longest step, relative to the parameter range and to the solution's size; at most 1.
     most_points : int
         Maximum number of points.
-    turning_back : float
+    max_turn_back_fraction : float
         How far the curve may turn back past its start, relative to the parameter range.
     """
 
     longest_step: float = 0.05
     most_points: int = 50_000
-    turning_back: float = 0.1
+    max_turn_back_fraction: float = 0.1
 
     def __post_init__(self) -> None:
         check_number("longest_step", self.longest_step, 0.0, excludes_bound=True)
         if self.longest_step > 1.0:
             raise InputError("longest_step", self.longest_step, "at most 1")
         check_count("most_points", self.most_points, 1)
-        check_number("turning_back", self.turning_back, 0.0)
+        check_number("max_turn_back_fraction", self.max_turn_back_fraction, 0.0)
 
 
+@keep_old_attribute_names(describe_values="describe_parameter_and_point_count")
 class GrowingCurve:
     """Curve that grows from a first point, by iteration or by :meth:`run`.
 
@@ -116,7 +120,7 @@ class GrowingCurve:
         at p = 0.
     start_point : PathPoint
         First point, with the direction.
-    step_limits : StepLimits
+    step_limits : ContinuationLimits
         Longest step, most points, and allowed turning back.
     tolerance : float, optional
         Error tolerance for solutions from exact orbits; None: harmonic balance.
@@ -139,12 +143,12 @@ class GrowingCurve:
     """
 
     def __init__(
-        self, system: CurveSystem, start_point: PathPoint, step_limits: StepLimits,
+        self, system: CurveSystem, start_point: PathPoint, continuation_limits: ContinuationLimits,
         tolerance: float | None = None, is_branch: bool = False,
     ) -> None:  # fmt: skip
-        self.system, self._step_limits = system, step_limits
+        self.system, self._continuation_limits = system, continuation_limits
         self._tolerance, self._is_branch = tolerance, is_branch
-        self.most_points = step_limits.most_points
+        self.most_points = continuation_limits.most_points
         self._start_path_point = self._last_path_point = start_point
         self.points = [self._convert_path_point(start_point)]
         self._kinds_and_special_points: list[tuple[str, CurvePoint]] = []
@@ -206,7 +210,7 @@ class GrowingCurve:
             status=self.status,
             subharmonic=problem.subharmonic,
             points=np.array(
-                [system.curve_points_row(point.unknown, point.value) for point in points]
+                [system.unscaled_solution(point.unknown, point.value) for point in points]
             ),
             tolerance=self._tolerance,
             samples=problem.samples,
@@ -216,13 +220,15 @@ class GrowingCurve:
         )
         bifurcations = []
         for bifurcation_kind, curve_point in self._kinds_and_special_points:
-            stored_point_row = system.curve_points_row(curve_point.unknown, curve_point.value)
+            unscaled_point_solution = system.unscaled_solution(
+                curve_point.unknown, curve_point.value
+            )
             bifurcations.append(
                 curve.bifurcation(
                     bifurcation_kind,
                     curve_point.value,
                     curve_point.omega,
-                    stored_point_row,
+                    unscaled_point_solution,
                     curve_point.multipliers,
                 )
             )
@@ -239,12 +245,13 @@ class GrowingCurve:
 
     def describe_progress(self) -> str:
         """Return a progress text: completed percentage, parameter range and number of points."""
-        end_values = self.system.start, self.system.end
+        requested_start_and_end_values = self.system.start, self.system.end
         return (
-            f"{self.progress_fraction():.0%} of the way between {self.describe_values(*end_values)}"
+            f"{self.progress_fraction():.0%} of the way between "
+            f"{self.describe_parameter_and_point_count(*requested_start_and_end_values)}"
         )
 
-    def describe_values(self, *values: float) -> str:
+    def describe_parameter_and_point_count(self, *values: float) -> str:
         """Return parameter values in their unit, and the number of points, as text.
 
         Without ``values``, the value at the last point is described.
@@ -270,7 +277,7 @@ class GrowingCurve:
         for segment in self._yield_segments():
             self._append_segment(segment)
 
-    def _yield_segments(self) -> Iterator[PathSegment]:
+    def _yield_segments(self) -> Iterator[ConsecutivePathPoints]:
         """Follow the path from the last point to the end, and yield it in segments.
 
         Sets ``status``, ``complete`` and ``has_returned``.
@@ -279,7 +286,7 @@ class GrowingCurve:
             return
         system = self.system
         last_point = self._last_path_point
-        longest_step = self._step_limits.longest_step
+        longest_step = self._continuation_limits.longest_step
         self.status = "under way"
         watched_events: list[Event] = [event_class() for event_class in system.event_classes]
         watched_events += [Target(1.0), ClosedLoop(self._start_path_point, system)]
@@ -293,7 +300,7 @@ class GrowingCurve:
             min_step=max(MIN_RESOLVED_DISTANCE, system.rounding(last_point.parameter)),
             max_steps=self.most_points + 1 - len(self.points),
             points_per_call=max(1, min(PathOptions.points_per_call, system.points_per_call)),
-            parameter_range=(-self._step_limits.turning_back, np.inf),
+            parameter_range=(-self._continuation_limits.max_turn_back_fraction, np.inf),
         )
         path = Path(
             system, last_point, path_options, watched_events, system.make_step_control(longest_step)
@@ -310,7 +317,7 @@ class GrowingCurve:
             path.terminal_event, ClosedLoop
         )
 
-    def _append_segment(self, segment: PathSegment) -> CurvePoint:
+    def _append_segment(self, segment: ConsecutivePathPoints) -> CurvePoint:
         """Append a path segment's points and special points to the curve.
 
         Returns the segment's last point.
@@ -326,12 +333,15 @@ class GrowingCurve:
             if "step_control_values" in vars(segment)
             else [None] * len(segment)
         )
-        parameters, all_iterations = segment.parameters.tolist(), segment.iterations.tolist()
+        parameters, iterations_of_segment_points = (
+            segment.parameters.tolist(),
+            segment.iterations.tolist(),
+        )
         self.points += map(
             self._make_curve_point,
             parameters,
             segment.unknowns,
-            all_iterations,
+            iterations_of_segment_points,
             multipliers_and_counts,
         )
         self._last_path_point = segment[-1]
@@ -342,7 +352,7 @@ class GrowingCurve:
         return self.points[-1]
 
 
-@with_old_names(progress="progress_fraction")
+@keep_old_attribute_names(progress="progress_fraction")
 class Continuation(GrowingCurve):
     """Curve that grows point by point, in a loop; ``curve`` has the points so far.
 
@@ -385,7 +395,7 @@ class Continuation(GrowingCurve):
         default: 0.05.
     most_points : int
         Maximum number of points; default: 50,000.
-    turning_back : float
+    max_turn_back_fraction : float
         How far the curve may turn back past its start, relative to the parameter range; default:
         0.1. A frequency, damping or speed of zero is never reached. A closed curve is recognised
         only within this distance.
@@ -419,13 +429,13 @@ class Continuation(GrowingCurve):
         branch_of: ResponseCurve | None = None,
         tolerance: float | None = None,
         stability: bool = False,
-        **steps: Unpack[StepLimitsKeywords],
+        **steps: Unpack[ContinuationLimitsKeywords],
     ) -> None:
         if parameter == "resonance":
             raise InputError("parameter", parameter, "another parameter: use follow_resonance")
-        step_limits = StepLimits(**steps)
-        fit_argument_to_annotation("problem", problem, "Problem", ("Problem",))
-        fit_argument_to_annotation("stability", stability, "bool", ())
+        continuation_limits = ContinuationLimits(**steps)
+        check_argument_class_or_unwrap_run("problem", problem, "Problem", ("Problem",))
+        check_argument_class_or_unwrap_run("stability", stability, "bool", ())
         if exact and tolerance is None:
             tolerance = DEFAULT_ERROR_TOLERANCE if branch_of is None else branch_of.tolerance
         if tolerance is not None:
@@ -436,8 +446,12 @@ class Continuation(GrowingCurve):
                 raise InputError("samples", problem.samples, "left out with a tolerance")
         check_range(problem, parameter, start, end)
         if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # may not reach 0
-            allowed_return_fraction = min(step_limits.turning_back, 0.9 * start / (end - start))
-            step_limits = replace(step_limits, turning_back=allowed_return_fraction)
+            allowed_turn_back_fraction = min(
+                continuation_limits.max_turn_back_fraction, 0.9 * start / (end - start)
+            )
+            continuation_limits = replace(
+                continuation_limits, max_turn_back_fraction=allowed_turn_back_fraction
+            )
         if exact:
             problem = problem.with_harmonics(problem.response_harmonics(MIN_ORBIT_HARMONICS))
         if parameter in ("omega", "speed"):
@@ -462,7 +476,9 @@ class Continuation(GrowingCurve):
             check_memory(problem.structure, problem.harmonics)
         system = system_along(exact, problem, parameter, start, end)
         if isinstance(initial, Bifurcation):
-            point = find_branch_start_point(system, initial, step_limits.longest_step, branch_of)
+            point = find_branch_start_point(
+                system, initial, continuation_limits.longest_step, branch_of
+            )
             start_point = make_first_path_point(
                 system, point.unknown, point.parameter, point.iterations, point.tangent
             )
@@ -474,9 +490,11 @@ class Continuation(GrowingCurve):
         else:
             solution = Solver(system.problem_at(start)).solve(initial)  # type: ignore[arg-type]
             start_point = make_first_path_point(
-                system, solution.slow_gap_coefficients, 0.0, solution.iterations
+                system, solution.gap_series_without_static_part, 0.0, solution.iterations
             )
-        super().__init__(system, start_point, step_limits, tolerance if exact else None, is_branch)
+        super().__init__(
+            system, start_point, continuation_limits, tolerance if exact else None, is_branch
+        )
 
     @property
     def curve(self) -> ResponseCurve:
@@ -575,7 +593,7 @@ def _find_start_orbit(
         return initial
     if initial is not None:
         check_initial(problem, initial)
-    search_result = search_initial_orbit(problem, initial)
+    search_result = search_orbit_by_harmonic_balance(problem, initial)
     if search_result.orbit is None:
         failure_words = (
             f"no exact orbit was found at {problem.omega:g} rad/s: {search_result.outcome_text}"

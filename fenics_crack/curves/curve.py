@@ -14,11 +14,15 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.harmonic_balance import solution_of_orbit, truncated_orbit_solution
+from fenics_crack.balance.harmonic_balance import (
+    orbit_solution_to_tolerance,
+    truncated_orbit_solution,
+)
 from fenics_crack.balance.more_modes import ERROR_IF_UNKNOWN
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import (
     Described,
     Tabular,
@@ -30,7 +34,7 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.curves.balance_equations import (
     EQUATIONS_CLASS_BY_PARAMETER,
-    BalanceAtResonance,
+    BalanceAlongVibratingLoadFactor,
     BalanceEquations,
 )
 from fenics_crack.curves.orbits import OrbitEquations, system_along
@@ -45,13 +49,13 @@ from fenics_crack.model.contact import ContactLaw, is_unilateral
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_none
-from fenics_crack.motion.motions import ObservedMotion, Record
+from fenics_crack.motion.motions import MotionRecord, ObservedMotion
 from fenics_crack.motion.orbit import (
     MULTIPLIER_TOLERANCE,
     NEUTRAL_MULTIPLIER_TEXT,
     OBSERVED_HARMONICS,
     PeriodicOrbit,
-    orbit_through_state,
+    orbit_from_converged_state,
 )
 from fenics_crack.motion.search import SearchOptions
 
@@ -72,7 +76,7 @@ MIN_ORBIT_HARMONICS = SearchOptions.guess_harmonic_counts[0]
 """Minimum harmonics of the load frequency in a solution from an exact orbit: 5."""
 OBSERVED_INSTANTS_PER_PERIOD = 256
 """Instants per period at which the motion at a curve's point is observed."""
-MISSED_WINDOW_TO_STEP_RATIO = 0.1
+MAX_MISSED_WINDOW_TO_STEP_RATIO = 0.1
 """Width of an unstable window that a curve may miss, relative to the longest step.
 
 Step control interpolates multipliers between the ends of a step. The interpolation is wrong if
@@ -107,6 +111,7 @@ def kind_in_words(kind: str) -> str:
     return "Neimark-Sacker" if kind == "neimark_sacker" else kind.replace("_", " ")
 
 
+@keep_old_attribute_names(point="single_point_curve")
 @dataclass(frozen=True, repr=False)
 class Bifurcation(Described):
     """Special point of a curve.
@@ -118,32 +123,32 @@ class Bifurcation(Described):
         multiplier leaves the unit circle through -1. "neimark_sacker": a complex pair leaves the
         circle. A curve of harmonic balance has the last two only with ``stability=True``, under
         laws without exact orbits.
-    point : ResponseCurve
+    single_point_curve : ResponseCurve
         Curve with this point alone.
     multipliers : (m,) complex or None
         Leading Floquet multipliers if the point is an exact orbit, largest modulus first.
     """
 
     kind: str
-    point: ResponseCurve
+    single_point_curve: ResponseCurve
     multipliers: np.ndarray | None
 
     @property
     def value(self) -> float:
         """Parameter value of the curve at the bifurcation."""
-        return float(self.point.values[0])
+        return float(self.single_point_curve.values[0])
 
     @property
     def omega(self) -> float:
         """Load frequency [rad/s]."""
-        return float(self.point.omega[0])
+        return float(self.single_point_curve.omega[0])
 
     frequency = hertz_property()
 
     @cached_property
     def problem(self) -> Problem:
         """Problem solved at the bifurcation, with the varied structure and load frequency."""
-        return self.point.problem_of(0)
+        return self.single_point_curve.problem_of(0)
 
     @cached_property
     def solution(self) -> PeriodicSolution:
@@ -151,19 +156,19 @@ class Bifurcation(Described):
 
         On a harmonic-balance curve the error is predicted, without a search for an exact orbit.
         """
-        return self.point.solution(0, search=False)
+        return self.single_point_curve.solution(0, search=False)
 
     @cached_property
     def orbit(self) -> PeriodicOrbit:
         """Exact orbit at the bifurcation; InputError on a curve of harmonic balance."""
-        return self.point.orbit(0)
+        return self.single_point_curve.orbit(0)
 
     def to_dict(self) -> dict[str, Any]:
         """Return kind, value of the curve's parameter, and load frequency."""
         return add_frequency_entries({"kind": self.kind, "value": self.value, "omega": self.omega})
 
     def _repr_text(self) -> str:
-        return f"{kind_in_words(self.kind)} at {self.value:.6g}, {self.point.method}"
+        return f"{kind_in_words(self.kind)} at {self.value:.6g}, {self.single_point_curve.method}"
 
 
 @dataclass(frozen=True)
@@ -196,6 +201,7 @@ class CurvePoint:
     bifurcations: Sequence[tuple[str, float]] = field(default_factory=tuple)
 
 
+@keep_old_attribute_names(resolution="max_missed_window_width", undecided="is_undecided")
 @dataclass(frozen=True, repr=False, kw_only=True)
 class ResponseCurve(ObservedMotion, Tabular):
     """Solutions along a curve, in order: of harmonic balance, or exact periodic orbits.
@@ -348,7 +354,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             solution_by_index = self._solution_by_index_and_search[search]
             if index not in solution_by_index:
                 problem, orbit = self.problem_of(index), self.orbit(index)
-                solution_by_index[index] = solution_of_orbit(
+                solution_by_index[index] = orbit_solution_to_tolerance(
                     problem, orbit, self.tolerance, balances_more_modes=search
                 )
             return solution_by_index[index]
@@ -369,7 +375,9 @@ class ResponseCurve(ObservedMotion, Tabular):
     def _problem_and_contact_point(self, index: int) -> tuple[Problem, ContactPoint]:
         """Return a point's problem, and the harmonic-balance equations linearised there."""
         problem, equations = self.problem_of(index), self.system
-        if isinstance(equations, BalanceAtResonance) or not isinstance(equations, BalanceEquations):
+        if isinstance(equations, BalanceAlongVibratingLoadFactor) or not isinstance(
+            equations, BalanceEquations
+        ):
             contact_system = problem.system(problem.compliance_model())
         else:
             contact_system = equations.system(float(self.values[index]))
@@ -397,7 +405,9 @@ class ResponseCurve(ObservedMotion, Tabular):
             )
         flow, omega = self.system.flow(float(self.values[index])), float(self.omega[index])
         iterations = int(self.iterations[index])
-        return orbit_through_state(flow, omega, self.points[index], self.subharmonic, iterations)
+        return orbit_from_converged_state(
+            flow, omega, self.points[index], self.subharmonic, iterations
+        )
 
     def assessment(self, index: int) -> Assessment:
         """Return a harmonic-balance point's comparison with exact motions.
@@ -421,8 +431,8 @@ class ResponseCurve(ObservedMotion, Tabular):
         compliance_model = equations.compliance_model_at(equations.start)
         points_per_chunk = max(1, equations.points_per_call)
         for chunk_indices in (
-            places[first_position : first_position + points_per_chunk]
-            for first_position in range(0, len(places), points_per_chunk)
+            places[chunk_start_position : chunk_start_position + points_per_chunk]
+            for chunk_start_position in range(0, len(places), points_per_chunk)
         ):
             unknowns, omega = self.points[chunk_indices], self.omega[chunk_indices]
             force_coefficients = np.stack(
@@ -432,14 +442,16 @@ class ResponseCurve(ObservedMotion, Tabular):
                 omega / self.subharmonic, force_coefficients
             )
             for index, unknown in enumerate(unknowns):
-                point_force_coefficients = np.ascontiguousarray(force_coefficients[:, index])
-                point_gap_coefficients = contact_system.gap(unknown, point_force_coefficients)
-                point_displacement_coefficients = displacement_coefficients[:, index]
+                curve_point_force_coefficients = np.ascontiguousarray(force_coefficients[:, index])
+                curve_point_gap_coefficients = contact_system.gap(
+                    unknown, curve_point_force_coefficients
+                )
+                curve_point_displacement_coefficients = displacement_coefficients[:, index]
                 harmonic_motion = replace(
                     equations.problem.wave_of(
-                        point_displacement_coefficients,
-                        point_gap_coefficients,
-                        point_force_coefficients,
+                        curve_point_displacement_coefficients,
+                        curve_point_gap_coefficients,
+                        curve_point_force_coefficients,
                     ),
                     omega=float(omega[index]),
                 )
@@ -463,7 +475,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             [assessment.wave.gap_coefficients for assessment in self.assessments(indices)]
         )
 
-    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
+    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[MotionRecord]:
         point_indices = range(len(self))
         orbits_or_solutions: Iterator[PeriodicOrbit | PeriodicSolution]
         if self.exact:
@@ -498,7 +510,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         return np.asarray(np.abs(self.multipliers) < 1.0 - MULTIPLIER_TOLERANCE)
 
     @property
-    def undecided(self) -> np.ndarray | None:
+    def is_undecided(self) -> np.ndarray | None:
         """True at points with undecided stability: (n,) bool, or None if not assessed.
 
         At these points the largest multiplier's modulus is nan, or differs from 1 by at most 1e-6.
@@ -517,21 +529,21 @@ class ResponseCurve(ObservedMotion, Tabular):
         verdicts = np.where(self.stable, "stable", "unstable")
         if self.irregular is not None:
             verdicts = np.where(self.irregular, "irregular", verdicts)
-        return np.where(self.undecided, "undecided", verdicts)
+        return np.where(self.is_undecided, "undecided", verdicts)
 
     def reason(self, index: int) -> str:
         """Return why the stability at a point is undecided.
 
         The text is empty if the stability is decided, or was not assessed.
         """
-        if self.undecided is None or not self.undecided[index]:
+        if self.is_undecided is None or not self.is_undecided[index]:
             return ""
         if self.exact:
             return NEUTRAL_MULTIPLIER_TEXT
         if not is_unilateral(self.contact):
             solution = self.solution(index, search=False)
             return floquet(solution.structure, solution).reason
-        if self.undecided.all():
+        if self.is_undecided.all():
             return (
                 "no exact orbit was found that is close enough to any point of the curve; use more "
                 "harmonics, or a tolerance"
@@ -539,13 +551,15 @@ class ResponseCurve(ObservedMotion, Tabular):
         return self.assessment(index).rejection_reason or NEUTRAL_MULTIPLIER_TEXT
 
     @property
-    def resolution(self) -> float:
+    def max_missed_window_width(self) -> float:
         """Widest parameter interval that a curve of exact orbits may pass unnoticed.
 
         Orbits in such an interval are unstable or have a doubled period. The width is a tenth of
         the longest step in ``values``, in the same unit.
         """
-        return MISSED_WINDOW_TO_STEP_RATIO * float(np.abs(np.diff(self.values)).max(initial=0.0))
+        return MAX_MISSED_WINDOW_TO_STEP_RATIO * float(
+            np.abs(np.diff(self.values)).max(initial=0.0)
+        )
 
     # --- parts of it ------------------------------------------------------------------------------
 
@@ -575,8 +589,16 @@ class ResponseCurve(ObservedMotion, Tabular):
         multipliers : (m,) complex, optional
             Leading Floquet multipliers of an exact orbit.
         """
-        entry_by_name = {"values": value, "omega": omega, "iterations": 0, "points": point}
-        array_by_name = {name: np.array([entry]) for name, entry in entry_by_name.items()}
+        point_entry_by_curve_field = {
+            "values": value,
+            "omega": omega,
+            "iterations": 0,
+            "points": point,
+        }
+        array_by_name = {
+            name: np.array([point_entry])
+            for name, point_entry in point_entry_by_curve_field.items()
+        }
         leading_multipliers = (
             None
             if multipliers is None
@@ -594,12 +616,16 @@ class ResponseCurve(ObservedMotion, Tabular):
         The purpose is to evaluate amplitudes and other numbers at bifurcations. Only exact orbits
         keep their multipliers.
         """
-        source_curve = self if self.exact else replace(self, multipliers=None, irregular=None)
-        bifurcation_curves = [bifurcation.point for bifurcation in self.bifurcations]
+        curve_with_exact_multipliers_only = (
+            self if self.exact else replace(self, multipliers=None, irregular=None)
+        )
+        one_point_bifurcation_curves = [
+            bifurcation.single_point_curve for bifurcation in self.bifurcations
+        ]
         one_point_curves: list[ResponseCurve] = [
-            source_curve.part([0]),
-            *bifurcation_curves,
-            source_curve.part([-1]),
+            curve_with_exact_multipliers_only.part([0]),
+            *one_point_bifurcation_curves,
+            curve_with_exact_multipliers_only.part([-1]),
         ]
         array_dicts = [
             _array_by_field_name(one_point_curve) for one_point_curve in one_point_curves
@@ -608,7 +634,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             name: np.concatenate([array_by_name[name] for array_by_name in array_dicts])
             for name in array_dicts[0]
         }
-        return replace(source_curve, **joined_columns_by_name, bifurcations=())
+        return replace(curve_with_exact_multipliers_only, **joined_columns_by_name, bifurcations=())
 
     def nearest(self, bifurcation: Bifurcation) -> int:
         """Return the index of the point nearest to a bifurcation.
@@ -617,11 +643,20 @@ class ResponseCurve(ObservedMotion, Tabular):
         difference, divided by the curve's parameter range. The other is the norm of the solutions'
         difference, divided by the norm of the bifurcation's solution.
         """
-        bifurcation_point = bifurcation.point.points
-        distances = np.linalg.norm((self.points - bifurcation_point).reshape(len(self), -1), axis=1)
-        distances /= float(np.linalg.norm(bifurcation_point)) or 1.0
+        bifurcation_solution = bifurcation.single_point_curve.points
+        distances_to_bifurcation_solution = np.linalg.norm(
+            (self.points - bifurcation_solution).reshape(len(self), -1), axis=1
+        )
+        distances_to_bifurcation_solution /= float(np.linalg.norm(bifurcation_solution)) or 1.0
         value_range = float(np.ptp(self.values)) or 1.0
-        return int(np.argmin(np.hypot(distances, (self.values - bifurcation.value) / value_range)))
+        return int(
+            np.argmin(
+                np.hypot(
+                    distances_to_bifurcation_solution,
+                    (self.values - bifurcation.value) / value_range,
+                )
+            )
+        )
 
     def coefficients_at(self, dof: int | None = None) -> np.ndarray:
         """Return a dof's displacement coefficients at every point: (n, 2H+1) [m].
@@ -630,7 +665,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         """
         return self.observe_dofs([dof])[0][0].real_fourier_coefficients
 
-    def _gather_over_curve_points(self, values: list[Any]) -> np.ndarray:
+    def _join_curve_point_values(self, values: list[Any]) -> np.ndarray:
         return np.array(values)
 
     def top(self, dof: int | None = None) -> LargestResponse:
@@ -640,8 +675,10 @@ class ResponseCurve(ObservedMotion, Tabular):
         """
         amplitudes = self.amplitude(dof)
         index = int(np.argmax(amplitudes))
-        peak_value, peak_amplitude, _ = interpolate_peak_and_damping(self.values, amplitudes, index)
-        return LargestResponse(index, peak_value, peak_amplitude, index in (0, len(self) - 1))
+        peak_parameter, peak_amplitude, _ = interpolate_peak_and_damping(
+            self.values, amplitudes, index
+        )
+        return LargestResponse(index, peak_parameter, peak_amplitude, index in (0, len(self) - 1))
 
     def peak(self, dof: int | None = None) -> Peak:
         """Return the largest response at a dof, with error, stability and damping.
@@ -658,7 +695,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             if isinstance(structure, RunUpStructure):
                 # Natural frequencies follow the speed, so the peak is wider over the speed.
                 peak_structure = structure.at_speed(float(self.values[top.index]))
-                damping *= 1.0 - peak_structure.stiffening(omega)
+                damping *= 1.0 - peak_structure.stiffening_exponent(omega)
             omega *= top.value / float(self.values[top.index])
         if self.multipliers is None:
             verdict = floquet(solution.structure, solution).verdict

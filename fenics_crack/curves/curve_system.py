@@ -17,7 +17,7 @@ import numpy as np
 
 from fenics_crack.balance.problem import MAX_UNKNOWNS_TIMES_POINTS_PER_CALL, Problem
 from fenics_crack.numerics.equations import Linearisation
-from fenics_crack.numerics.path import BranchPoint, Event, Fold, StepControl
+from fenics_crack.numerics.path import BranchPoint, Event, Fold, StepRejectionRule
 
 
 class CurveSystem(ABC):
@@ -78,7 +78,7 @@ class CurveSystem(ABC):
     def omega(self, value: float, unknown: np.ndarray) -> float:
         """Return a solution's load frequency [rad/s] at a value of the curve's parameter."""
 
-    def curve_points_row(self, unknown: np.ndarray, value: float) -> np.ndarray:
+    def unscaled_solution(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """Convert a solution to its row in :attr:`ResponseCurve.points`; by default unchanged.
 
         ``value`` is the curve's parameter.
@@ -99,9 +99,7 @@ class CurveSystem(ABC):
         ``parameter`` is the path parameter, 0 to 1.
         """
 
-    def relative_motion_change_over_half_period(
-        self, unknown: np.ndarray, parameter: float
-    ) -> float:
+    def half_period_repetition_error(self, unknown: np.ndarray, parameter: float) -> float:
         """Return a motion's change over half its period, relative to its size.
 
         The change is near 0 if the motion has half the period. ``unknown`` is a solution,
@@ -122,7 +120,7 @@ class CurveSystem(ABC):
         """
         return MAX_UNKNOWNS_TIMES_POINTS_PER_CALL // self.n_unknowns
 
-    def make_step_control(self, longest_step: float) -> StepControl | None:
+    def make_step_control(self, longest_step: float) -> StepRejectionRule | None:
         """Make the object that rejects steps over which a solution changes too much.
 
         ``longest_step`` is relative to the parameter range. None: no step is rejected.

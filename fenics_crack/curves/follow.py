@@ -25,8 +25,8 @@ from fenics_crack.basics.progress import add_progress_text, begin_stage
 from fenics_crack.basics.suggestions import check_options
 from fenics_crack.curves.continuation import (
     Continuation,
+    ContinuationLimitsKeywords,
     GrowingCurve,
-    StepLimitsKeywords,
     can_follow_orbits,
 )
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
@@ -48,7 +48,7 @@ The remaining time is left out: the progress does not predict it.
 """
 
 
-class CurveOptions(StepLimitsKeywords, total=False):
+class CurveOptions(ContinuationLimitsKeywords, total=False):
     """Options of :func:`.continue_frequency` and :func:`.continue_parameter`.
 
     harmonics
@@ -70,7 +70,7 @@ class CurveOptions(StepLimitsKeywords, total=False):
         Longest step, relative to the parameter range and to the solution's size; default: 0.05.
     most_points
         Maximum number of points.
-    turning_back
+    max_turn_back_fraction
         How far the curve may turn back past its start, relative to the parameter range.
     """
 
@@ -115,7 +115,7 @@ def continue_frequency(
         False. Ctrl-C always returns the points so far.
     **options
         Keywords of :class:`.CurveOptions`: harmonics, samples, subharmonic, initial, tolerance,
-        stability, longest_step, most_points, turning_back.
+        stability, longest_step, most_points, max_turn_back_fraction.
 
     Returns
     -------
@@ -180,7 +180,7 @@ def continue_parameter(
         Raise if the end is not reached; otherwise return the points so far.
     **options
         Keywords of :class:`.CurveOptions`: harmonics, samples, subharmonic, initial, tolerance,
-        stability, longest_step, most_points, turning_back.
+        stability, longest_step, most_points, max_turn_back_fraction.
 
     Returns
     -------
@@ -245,10 +245,10 @@ def continue_parameter(
     try:
         growing_curve = make_curve(start, end)
     except ConvergenceError:
-        other_growing_curve = None if error_tolerance is None else follow_other_curve()
-        if other_growing_curve is None:
+        alternative_growing_curve = None if error_tolerance is None else follow_other_curve()
+        if alternative_growing_curve is None:
             raise
-        growing_curve = other_growing_curve
+        growing_curve = alternative_growing_curve
     return run_to_end(growing_curve, progress, throw, follow_other_curve)
 
 
@@ -275,21 +275,27 @@ def _find_other_curve(
         curve has, or 120,000 divided by the number of unknowns if that is more. None: no first
         solution was found; a single search is made.
     """
-    n_spent_points, n_first_points = 0, 0 if first_curve is None else len(first_curve.points)
+    n_spent_points, n_points_of_first_curve = (
+        0,
+        0 if first_curve is None else len(first_curve.points),
+    )
     # If there is no orbit at the start, each search takes long.
     n_allowed_searches = MAX_CURVE_SEARCHES if first_curve is not None else 1
     search_values = np.linspace(end, start, MAX_CURVE_SEARCHES, endpoint=False)[:n_allowed_searches]
     for search_value in search_values.tolist():
         start_solution: PeriodicSolution | PeriodicOrbit | None = None
-        for stage_start, stage_end in ((search_value, start), (start, end)):
+        for stage_start_value, stage_end_value in ((search_value, start), (start, end)):
             try:
-                growing_curve = make_curve(stage_start, stage_end, start_solution)
-                n_allowed_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_UNKNOWNS_TIMES_POINTS_PER_CALL
-                n_allowed_points = max(
-                    n_first_points, n_allowed_unknowns // growing_curve.system.n_unknowns
+                growing_curve = make_curve(stage_start_value, stage_end_value, start_solution)
+                max_unknowns_times_points = (
+                    2 * MAX_CURVE_SEARCHES * MAX_UNKNOWNS_TIMES_POINTS_PER_CALL
                 )
-                n_left_points = max(1, n_allowed_points - n_spent_points)
-                growing_curve.most_points = min(n_left_points, growing_curve.most_points)
+                n_allowed_points = max(
+                    n_points_of_first_curve,
+                    max_unknowns_times_points // growing_curve.system.n_unknowns,
+                )
+                n_remaining_points = max(1, n_allowed_points - n_spent_points)
+                growing_curve.most_points = min(n_remaining_points, growing_curve.most_points)
                 growing_curve.run()
             except ConvergenceError:
                 break
@@ -336,8 +342,8 @@ def follow_branch(
     throw : bool
         Raise if the branch's end is not reached; otherwise return the points so far.
     **options
-        Keywords stability, longest_step, most_points and turning_back of :class:`.CurveOptions`.
-        Harmonics, samples, subharmonic and tolerance follow from the curve.
+        Keywords stability, longest_step, most_points and max_turn_back_fraction of
+        :class:`.CurveOptions`. Harmonics, samples, subharmonic and tolerance follow from the curve.
 
     Returns
     -------
@@ -417,10 +423,10 @@ def run_to_end(
         try:
             _run_with_progress(growing_curve, progress)
             if find_other_curve is not None and growing_curve.has_returned:
-                other_growing_curve = find_other_curve(growing_curve)
-                if other_growing_curve is None and not growing_curve.complete:
+                alternative_growing_curve = find_other_curve(growing_curve)
+                if alternative_growing_curve is None and not growing_curve.complete:
                     growing_curve.status += " (from the end no other curve was found)"
-                growing_curve = other_growing_curve or growing_curve
+                growing_curve = alternative_growing_curve or growing_curve
         except ConvergenceError as error:
             growing_curve.status = str(error)
         curve = growing_curve.curve
@@ -451,5 +457,5 @@ def _run_with_progress(growing_curve: GrowingCurve, progress: bool) -> None:
 
     with tqdm(total=100, desc="curve", unit="%", bar_format=PROGRESS_BAR_FORMAT) as bar:
         for _ in growing_curve:
-            bar.set_postfix_str(growing_curve.describe_values(), refresh=False)
+            bar.set_postfix_str(growing_curve.describe_parameter_and_point_count(), refresh=False)
             bar.update(max(0, int(100.0 * growing_curve.progress_fraction()) - bar.n))

@@ -60,17 +60,17 @@ from fenics_crack.motion.orbit import MULTIPLIER_TOLERANCE
 from fenics_crack.numerics.equations import ROOT_TOLERANCE, System
 from fenics_crack.numerics.newton import PathPoint
 from fenics_crack.numerics.path import (
+    ConsecutivePathPoints,
     Event,
-    PathSegment,
-    SegmentEnds,
-    StepControl,
+    StepEnds,
+    StepRejectionRule,
     find_zero_point_and_function_value,
 )
 
 ACCEPTED_LOG_CHANGE = 0.01
 """Maximum change in ln |mu| of a Floquet multiplier mu that every step may make."""
 
-MIN_STEP_RATIO = 0.01
+MIN_REJECTABLE_STEP_RATIO = 0.01
 """Minimum length of a step that may be rejected because multipliers change too much.
 
 Relative to the longest step.
@@ -168,19 +168,19 @@ def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
         multiplier leaves the circle. inf if multipliers are not found.
     """
     n_points, n_states = monodromy_matrices.shape[:2]
-    collision_severities = np.empty(n_points - 1)
+    multiplier_collision_severities = np.empty(n_points - 1)
     contiguous_matrices = np.ascontiguousarray(monodromy_matrices)
     kernel.collision_severities(
         n_points,
         n_states,
         pointer(contiguous_matrices),
         MULTIPLIER_TOLERANCE,
-        pointer(collision_severities),
+        pointer(multiplier_collision_severities),
     )
-    return collision_severities
+    return multiplier_collision_severities
 
 
-class MultiplierStepControl(StepControl):
+class MultiplierStepControl(StepRejectionRule):
     """Reject steps over which the Floquet multipliers mu change too much.
 
     A step above 0.01 ``longest_step`` is rejected if
@@ -194,10 +194,12 @@ class MultiplierStepControl(StepControl):
     """
 
     def __init__(self, longest_step: float) -> None:
-        self._min_step = MIN_STEP_RATIO * longest_step
+        self._min_step = MIN_REJECTABLE_STEP_RATIO * longest_step
         self._min_collision_step = MIN_COLLISION_STEP_RATIO * longest_step
 
-    def mark_rejected_steps(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
+    def mark_rejected_steps(
+        self, segment: ConsecutivePathPoints, first_index: int = 0
+    ) -> np.ndarray:
         multiplier_log_moduli = np.log(
             np.maximum(np.abs(segment.step_control_values[:, :-3]), MULTIPLIER_TOLERANCE)
         )
@@ -208,8 +210,10 @@ class MultiplierStepControl(StepControl):
         )
         is_coarse = np.any(np.abs(log_changes) > allowed_log_change, axis=1)
         if len(log_changes) > 1:
-            step_length_ratio = (step_lengths[1:] / step_lengths[:-1])[:, None]
-            prediction_error = np.abs(log_changes[1:] - step_length_ratio * log_changes[:-1])
+            ratio_to_previous_step_length = (step_lengths[1:] / step_lengths[:-1])[:, None]
+            prediction_error = np.abs(
+                log_changes[1:] - ratio_to_previous_step_length * log_changes[:-1]
+            )
             is_coarse[1:] |= np.any(prediction_error > allowed_log_change[1:], axis=1)
         n_states = math.isqrt(segment.records.shape[1])
         monodromy_matrices = segment.records[first_index:].reshape(-1, n_states, n_states)
@@ -234,10 +238,10 @@ class PeriodDoubling(Event):
 
     kind = "period_doubling"
 
-    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: ConsecutivePathPoints) -> np.ndarray:
         return np.asarray(changes_of_multiplier_counts(segment.step_control_values)[:, 1] != 0.0)
 
-    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: StepEnds, rtol: float) -> PathPoint | None:
         point = find_zero_point_and_function_value(
             system,
             ends,
@@ -255,10 +259,10 @@ class NeimarkSacker(Event):
 
     kind = "neimark_sacker"
 
-    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: ConsecutivePathPoints) -> np.ndarray:
         return np.asarray(changes_of_multiplier_counts(segment.step_control_values)[:, 2] != 0.0)
 
-    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: StepEnds, rtol: float) -> PathPoint | None:
         assert ends[0].step_control_values is not None and ends[1].step_control_values is not None
         multiplier_pair_index = (
             int(max(ends[0].step_control_values[-1].real, ends[1].step_control_values[-1].real)) - 1
@@ -267,7 +271,9 @@ class NeimarkSacker(Event):
             complex_pair_modulus_excess(multipliers_of(end), multiplier_pair_index) for end in ends
         ]
         # A pair within the tolerance of the circle may have been outside all along.
-        crossing_excess = 0.0 if end_excesses[0] * end_excesses[1] < 0.0 else MULTIPLIER_TOLERANCE
+        target_modulus_excess = (
+            0.0 if end_excesses[0] * end_excesses[1] < 0.0 else MULTIPLIER_TOLERANCE
+        )
 
         def crossing_function(point: PathPoint) -> float:
             """Return |mu| - 1 of the pair mu at a point; its zero is the bifurcation.
@@ -277,14 +283,14 @@ class NeimarkSacker(Event):
             """
             excess_over_crossing = (
                 complex_pair_modulus_excess(multipliers_of(point), multiplier_pair_index)
-                - crossing_excess
+                - target_modulus_excess
             )
             return excess_over_crossing if abs(excess_over_crossing) > ROOT_TOLERANCE else 0.0
 
-        zero_point, excess_at_zero = find_zero_point_and_function_value(
+        zero_point, excess_at_located_point = find_zero_point_and_function_value(
             system, ends, crossing_function, rtol
         )
-        return zero_point if abs(excess_at_zero) <= MULTIPLIER_TOLERANCE else None
+        return zero_point if abs(excess_at_located_point) <= MULTIPLIER_TOLERANCE else None
 
 
 def multipliers_of(point: PathPoint) -> np.ndarray:

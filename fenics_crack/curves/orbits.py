@@ -143,7 +143,7 @@ class OrbitEquations(CurveSystem):
         )
         return np.array([start_rest_state, end_rest_state - start_rest_state])
 
-    def curve_points_row(self, unknown: np.ndarray, value: float) -> np.ndarray:
+    def unscaled_solution(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """Return the state at phase zero for unknowns x at a parameter value.
 
         The state has modal displacements, then velocities; with friction also the sliders'
@@ -201,7 +201,7 @@ class OrbitEquations(CurveSystem):
         ``parameter`` is the path parameter, 0 to 1.
         """
         value = self.value(parameter)
-        omega, start_state = self.omega(value), self.curve_points_row(unknown, value)
+        omega, start_state = self.omega(value), self.unscaled_solution(unknown, value)
         orbit_period = 2.0 * np.pi * self.subharmonic / omega
         return self.flow(value).advance(start_state, omega, period_fraction * orbit_period)
 
@@ -215,9 +215,7 @@ class OrbitEquations(CurveSystem):
         state_after_fraction = self._advance_motion(unknown, parameter, period_fraction).state
         return self.unknown(state_after_fraction, self.value(parameter))
 
-    def relative_motion_change_over_half_period(
-        self, unknown: np.ndarray, parameter: float
-    ) -> float:
+    def half_period_repetition_error(self, unknown: np.ndarray, parameter: float) -> float:
         """Return an orbit's change over half its period, relative to its size.
 
         The change is near 0 if the motion has half the period. ``unknown`` is the scaled state,
@@ -235,10 +233,10 @@ class OrbitEquations(CurveSystem):
         None over contact stiffness, speed and friction coefficient. Over the damping, None if the
         law has friction.
         """
-        is_over_damping = self.parameter_name == "damping"
+        parameter_is_damping = self.parameter_name == "damping"
         # With friction, the places where pairs stick depend on the damping, too.
         if self.parameter_name in ("stiffness", "speed", "friction") or (
-            is_over_damping and self._start_flow.friction_law
+            parameter_is_damping and self._start_flow.friction_law
         ):
             return None
         omega_and_change = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
@@ -252,9 +250,9 @@ class OrbitEquations(CurveSystem):
             end_flow = self.flow(self.end)
             # The kernel changes this flow, so it is not shared.
             kernel_flow = self._make_flow(
-                max(self.start, self.end) if is_over_damping else self.start
+                max(self.start, self.end) if parameter_is_damping else self.start
             )
-            if is_over_damping:
+            if parameter_is_damping:
                 damping_change = end_flow.modal_model.damping - start_flow.modal_model.damping
                 start_damping = start_flow.modal_model.damping
                 kernel_fields |= {
@@ -264,9 +262,15 @@ class OrbitEquations(CurveSystem):
                 kernel_fields["damping_rate"] = as_doubles(damping_change)
             else:
                 modal_load_change = end_flow.modal_load - start_flow.modal_load
-                load_gap_change = end_flow.load_gap - start_flow.load_gap
+                load_gap_change = (
+                    end_flow.massless_load_gap_less_clearance
+                    - start_flow.massless_load_gap_less_clearance
+                )
                 kernel_fields |= {"force": kernel_flow.modal_load, "force_rate": modal_load_change}
-                kernel_fields |= {"gap": kernel_flow.load_gap, "gap_rate": load_gap_change}
+                kernel_fields |= {
+                    "gap": kernel_flow.massless_load_gap_less_clearance,
+                    "gap_rate": load_gap_change,
+                }
         return ShootingEquations(
             kernel_flow, self.state_factors, omega_and_change, self.subharmonic, **kernel_fields
         )
@@ -313,7 +317,7 @@ class OrbitEquations(CurveSystem):
                 return (
                     self.advance_unknown(unknown, parameter + parameter_step) - unknown - residual
                 ) / parameter_step
-            start_state = self.curve_points_row(unknown, value)
+            start_state = self.unscaled_solution(unknown, value)
             softness_derivative_by_parameter = (
                 -self.value_rate(value) / value * motion.track.flow.softness
             )

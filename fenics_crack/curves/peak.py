@@ -121,7 +121,7 @@ class Peak(Described, LargestResponse):
 
 
 def interpolate_peak_and_damping(
-    values: np.ndarray, amplitudes: np.ndarray, peak_index: int
+    parameter_values: np.ndarray, amplitudes: np.ndarray, peak_index: int
 ) -> tuple[float, float, float]:
     """Return the peak of a curve between its points, and the damping ratio.
 
@@ -129,7 +129,7 @@ def interpolate_peak_and_damping(
 
     Parameters
     ----------
-    values, amplitudes : (n,)
+    parameter_values, amplitudes : (n,)
         Parameter and amplitude of the points, in order along the curve.
     peak_index : int
         Index of the largest amplitude.
@@ -145,49 +145,62 @@ def interpolate_peak_and_damping(
     """
     from scipy.interpolate import CubicSpline  # loading takes longer than drawing a curve
 
-    peak_value, peak_amplitude = float(values[peak_index]), float(amplitudes[peak_index])
+    peak_parameter, peak_amplitude = (
+        float(parameter_values[peak_index]),
+        float(amplitudes[peak_index]),
+    )
     first_index, last_index = (
-        _first_index_below_half_power(values, amplitudes, peak_index, index_step)
-        for index_step in (-1, 1)
+        _first_index_below_half_power(parameter_values, amplitudes, peak_index, search_direction)
+        for search_direction in (-1, 1)
     )
     if not first_index < peak_index < last_index:
-        return peak_value, peak_amplitude, math.nan
-    value_steps = np.diff(values[peak_index - 1 : peak_index + 2])
-    if value_steps[0] * value_steps[1] <= 0.0:
-        return peak_value, peak_amplitude, math.nan
+        return peak_parameter, peak_amplitude, math.nan
+    parameter_steps = np.diff(parameter_values[peak_index - 1 : peak_index + 2])
+    if parameter_steps[0] * parameter_steps[1] <= 0.0:
+        return peak_parameter, peak_amplitude, math.nan
     peak_slice = slice(first_index, last_index + 1)
-    values_around_peak = values[peak_slice]
+    parameters_around_peak = parameter_values[peak_slice]
     relative_amplitudes = np.maximum(amplitudes[peak_slice] / peak_amplitude, np.finfo(float).eps)
-    ascending_step = 1 if values_around_peak[-1] > values_around_peak[0] else -1
+    ascending_slice_stride = 1 if parameters_around_peak[-1] > parameters_around_peak[0] else -1
     inverse_square_spline = CubicSpline(
-        values_around_peak[::ascending_step], relative_amplitudes[::ascending_step] ** -2.0
+        parameters_around_peak[::ascending_slice_stride],
+        relative_amplitudes[::ascending_slice_stride] ** -2.0,
     )
-    values_at_minima = inverse_square_spline.derivative().roots(extrapolate=False)
-    neighbour_values = np.sort(values[[peak_index - 1, peak_index + 1]])
-    values_at_minima = values_at_minima[
-        (values_at_minima > neighbour_values[0]) & (values_at_minima < neighbour_values[1])
+    parameters_at_spline_minima = inverse_square_spline.derivative().roots(extrapolate=False)
+    neighbour_parameters = np.sort(parameter_values[[peak_index - 1, peak_index + 1]])
+    parameters_at_spline_minima = parameters_at_spline_minima[
+        (parameters_at_spline_minima > neighbour_parameters[0])
+        & (parameters_at_spline_minima < neighbour_parameters[1])
     ]
-    top_value = float(min(values_at_minima, key=inverse_square_spline, default=peak_value))
-    if not inverse_square_spline(top_value) > 0.0:  # as next to a zero response
-        return top_value, peak_amplitude, math.nan
-    half_power_values = inverse_square_spline.solve(
-        2.0 * inverse_square_spline(top_value), extrapolate=False
+    interpolated_peak_parameter = float(
+        min(parameters_at_spline_minima, key=inverse_square_spline, default=peak_parameter)
     )
-    band_start_value = half_power_values[half_power_values < top_value].max(initial=-math.inf)
-    band_end_value = half_power_values[half_power_values > top_value].min(initial=math.inf)
-    half_power_width = band_end_value - band_start_value
+    if not inverse_square_spline(interpolated_peak_parameter) > 0.0:  # as next to a zero response
+        return interpolated_peak_parameter, peak_amplitude, math.nan
+    half_power_parameters = inverse_square_spline.solve(
+        2.0 * inverse_square_spline(interpolated_peak_parameter), extrapolate=False
+    )
+    band_start_parameter = half_power_parameters[
+        half_power_parameters < interpolated_peak_parameter
+    ].max(initial=-math.inf)
+    band_end_parameter = half_power_parameters[
+        half_power_parameters > interpolated_peak_parameter
+    ].min(initial=math.inf)
+    half_power_width = band_end_parameter - band_start_parameter
     damping_ratio = (
-        float(half_power_width / (2.0 * top_value)) if math.isfinite(half_power_width) else math.nan
+        float(half_power_width / (2.0 * interpolated_peak_parameter))
+        if math.isfinite(half_power_width)
+        else math.nan
     )
     return (
-        top_value,
-        peak_amplitude * float(inverse_square_spline(top_value) ** -0.5),
+        interpolated_peak_parameter,
+        peak_amplitude * float(inverse_square_spline(interpolated_peak_parameter) ** -0.5),
         damping_ratio,
     )
 
 
 def damping_by_half_power_width(
-    values: np.ndarray, coefficients: np.ndarray, subharmonic: int, peak_index: int
+    parameter_values: np.ndarray, coefficients: np.ndarray, subharmonic: int, peak_index: int
 ) -> float:
     """Return the damping ratio by the half-power width of the load's own harmonic.
 
@@ -195,7 +208,7 @@ def damping_by_half_power_width(
 
     Parameters
     ----------
-    values : (n,)
+    parameter_values : (n,)
         Parameter at each point, in order along the curve.
     coefficients : (n, 2H+1)
         Displacement coefficients of a dof at each point: mean, then cosine and sine of harmonics 1
@@ -215,26 +228,28 @@ def damping_by_half_power_width(
         coefficients[:, 2 * subharmonic],
     )
     return interpolate_peak_and_damping(
-        values, np.hypot(cosine_coefficients, sine_coefficients), peak_index
+        parameter_values, np.hypot(cosine_coefficients, sine_coefficients), peak_index
     )[2]
 
 
 def _first_index_below_half_power(
-    values: np.ndarray, amplitudes: np.ndarray, peak_index: int, index_step: int
+    parameter_values: np.ndarray, amplitudes: np.ndarray, peak_index: int, search_direction: int
 ) -> int:
     """Return the index of the first point below half power, on one side of the peak.
 
     The amplitude at this point is below 1/sqrt(2) times the peak's amplitude. If the curve ends or
-    turns back before, return the last index before. ``index_step`` is -1 for points before
-    ``peak_index``, 1 for points after it. ``values`` and ``amplitudes`` are (n,).
+    turns back before, return the last index before. ``search_direction`` is -1 for points before
+    ``peak_index``, 1 for points after it. ``parameter_values`` and ``amplitudes`` are (n,).
     """
-    point_index, last_value_change = peak_index, 0.0
+    point_index, last_parameter_change = peak_index, 0.0
     half_power_amplitude = amplitudes[peak_index] / math.sqrt(2.0)
-    while amplitudes[point_index] >= half_power_amplitude and 0 <= point_index + index_step < len(
-        values
-    ):
-        value_change = values[point_index + index_step] - values[point_index]
-        if value_change * last_value_change < 0.0 or value_change == 0.0:
+    while amplitudes[
+        point_index
+    ] >= half_power_amplitude and 0 <= point_index + search_direction < len(parameter_values):
+        parameter_change = (
+            parameter_values[point_index + search_direction] - parameter_values[point_index]
+        )
+        if parameter_change * last_parameter_change < 0.0 or parameter_change == 0.0:
             break
-        point_index, last_value_change = point_index + index_step, value_change
+        point_index, last_parameter_change = point_index + search_direction, parameter_change
     return point_index

@@ -68,10 +68,10 @@ class ExcitingHarmonic:
         resonance. ``force`` (2H+1, n_pairs) [N] replaces the contact forces at the point; default:
         the point's own.
         """
-        work_coefficients = modal_compliance_of(point).selected_displacement(
+        load_displacement_products = modal_compliance_of(point).selected_displacement(
             self.cosine_and_sine_load, point.force if force is None else force
         )
-        return self._complex_work_of(work_coefficients)
+        return self._complex_work_of(load_displacement_products)
 
     def complex_work_omega_derivative(self, point: ContactPoint) -> complex:
         """Return the complex work's derivative by the frequency [N m s].
@@ -90,8 +90,14 @@ class ExcitingHarmonic:
         ``coefficients`` (2H+1, 2) [N m] are products with the displacement's Fourier coefficients:
         of the load's cosine part (first column), and of the load's sine part.
         """
-        cosine, sine = coefficients[2 * self.harmonic - 1], coefficients[2 * self.harmonic]
-        return complex(cosine[0] + sine[1], cosine[1] - sine[0])
+        displacement_cosine_works, displacement_sine_works = (
+            coefficients[2 * self.harmonic - 1],
+            coefficients[2 * self.harmonic],
+        )
+        return complex(
+            displacement_cosine_works[0] + displacement_sine_works[1],
+            displacement_cosine_works[1] - displacement_sine_works[0],
+        )
 
 
 def modal_compliance_of(point: ContactPoint) -> ModalCompliance:
@@ -113,7 +119,7 @@ class PhasePoint(Linearisation):
     ----------
     problem : Problem
         Problem at v = 1, with a frequency near w.
-    contact_point : ContactPoint
+    linearised_balance : ContactPoint
         Harmonic balance with the slow gap s / v, under the load with the factor 1.
     omega : float [rad/s]
         Load frequency w.
@@ -130,22 +136,20 @@ class PhasePoint(Linearisation):
         self.problem = system.problem
         self.exciting_harmonic = system.exciting_harmonic
         self._vibration_size, self.omega = system.vibration_size, system.omega(1.0, unknown)
-        self.contact_point = system.frequency_equations.system(self.omega).linearise(
-            system.curve_points_row(unknown, 1.0)
+        self.linearised_balance = system.balance_along_frequency.system(self.omega).linearise(
+            system.unscaled_solution(unknown, 1.0)
         )
-        self.complex_work = system.exciting_harmonic.complex_work(self.contact_point)
+        self.complex_work = system.exciting_harmonic.complex_work(self.linearised_balance)
         load_factor = system.value(parameter)
         self._inverse_load_factor = 1.0 / load_factor
-        self._inverse_load_factor_derivative_by_parameter = (
-            -system.value_rate(load_factor) / load_factor**2
-        )
+        self._derivative_of_inverse_load_factor = -system.value_rate(load_factor) / load_factor**2
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
-        contact_residual = self.contact_point.residual.copy()
+        contact_residual = self.linearised_balance.residual.copy()
         contact_residual[0] += (
             1.0 - self._inverse_load_factor
-        ) * self.contact_point.system.linear_gap[0]
+        ) * self.linearised_balance.system.linear_gap[0]
         return np.append(
             contact_residual / self._vibration_size, self.complex_work.real / self.complex_work.imag
         )
@@ -153,14 +157,14 @@ class PhasePoint(Linearisation):
     @cached_property
     def by_parameter(self) -> np.ndarray:  # type: ignore[override]
         residual_derivative = np.zeros_like(self.unknown)
-        residual_derivative[: len(self.contact_point.gap[0])] = (
-            -self._inverse_load_factor_derivative_by_parameter
-            * self.contact_point.system.linear_gap[0]
+        residual_derivative[: len(self.linearised_balance.gap[0])] = (
+            -self._derivative_of_inverse_load_factor
+            * self.linearised_balance.system.linear_gap[0]
             / self._vibration_size
         )
         return residual_derivative
 
-    def _phase_cotangent_change(self, work_change: complex) -> float:
+    def _phase_condition_change(self, work_change: complex) -> float:
         """Return the change in Re P / Im P, the cotangent of the phase.
 
         P is the load's complex work [N m], and ``work_change`` a small change in it.
@@ -170,7 +174,7 @@ class PhasePoint(Linearisation):
             work_change.real - complex_work.real / complex_work.imag * work_change.imag
         ) / complex_work.imag
 
-    def _complex_work_change(self, slow_gap_change: np.ndarray) -> complex:
+    def _complex_work_change_by_slow_gap(self, slow_gap_change: np.ndarray) -> complex:
         """Return the change in the load's complex work by a slow gap's change [N m].
 
         ``slow_gap_change`` is (2H+1, n_pairs) [m]; slow gap: gap plus residual flexibility times
@@ -178,35 +182,35 @@ class PhasePoint(Linearisation):
         """
         return (
             self.exciting_harmonic.complex_work(
-                self.contact_point,
-                self.contact_point.force
-                + self.contact_point.linearised_forces.force_change(slow_gap_change),
+                self.linearised_balance,
+                self.linearised_balance.force
+                + self.linearised_balance.linearised_forces.force_change(slow_gap_change),
             )
             - self.complex_work
         )
 
     @cached_property
     def slow_gap_derivative_by_frequency(self) -> np.ndarray:
-        return -self.contact_point.solve(
-            modal_compliance_of(self.contact_point).residual_derivative(
-                "omega", self.contact_point.force
+        return -self.linearised_balance.solve(
+            modal_compliance_of(self.linearised_balance).residual_derivative(
+                "omega", self.linearised_balance.force
             )
         )
 
     @cached_property
     def complex_work_derivative_by_frequency(self) -> complex:
         return self.exciting_harmonic.complex_work_omega_derivative(
-            self.contact_point
-        ) + self._complex_work_change(self.slow_gap_derivative_by_frequency)
+            self.linearised_balance
+        ) + self._complex_work_change_by_slow_gap(self.slow_gap_derivative_by_frequency)
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
-        gap_change = self._vibration_size * self.contact_point.solve(
-            right_side[:-1].reshape(self.contact_point.unknown.shape)
+        gap_change = self._vibration_size * self.linearised_balance.solve(
+            right_side[:-1].reshape(self.linearised_balance.unknown.shape)
         )
-        phase_cotangent_remainder = right_side[-1] - self._phase_cotangent_change(
-            self._complex_work_change(gap_change)
+        phase_condition_remainder = right_side[-1] - self._phase_condition_change(
+            self._complex_work_change_by_slow_gap(gap_change)
         )
-        frequency_change = phase_cotangent_remainder / self._phase_cotangent_change(
+        frequency_change = phase_condition_remainder / self._phase_condition_change(
             self.complex_work_derivative_by_frequency
         )
         scaled_gap_change = (
@@ -216,8 +220,8 @@ class PhasePoint(Linearisation):
 
     @property
     def sign(self) -> float:
-        return self.contact_point.sign * float(
-            np.sign(self._phase_cotangent_change(self.complex_work_derivative_by_frequency))
+        return self.linearised_balance.sign * float(
+            np.sign(self._phase_condition_change(self.complex_work_derivative_by_frequency))
         )
 
     @property
@@ -244,7 +248,7 @@ class PhasePoint(Linearisation):
     def solution(self) -> PeriodicSolution:
         """Return the motion at this point, without a search for an exact orbit."""
         problem = replace(self.problem, omega=self.omega)
-        return solution_of(problem, self.contact_point, status="phase resonance", search=False)
+        return solution_of(problem, self.linearised_balance, status="phase resonance", search=False)
 
 
 class ResonanceSystem(CurveSystem):
@@ -272,25 +276,28 @@ class ResonanceSystem(CurveSystem):
         factor_range: tuple[float, float] = (1, 2),
     ) -> None:
         self.start, self.end = factor_range
-        self.frequency_equations = frequency_equations = BalanceAlongFrequency(
+        self.balance_along_frequency = balance_along_frequency = BalanceAlongFrequency(
             problem, problem.omega, 0.5 * problem.omega
         )
-        slow_gap_coefficients = frequency_equations.system(problem.omega).slow_gap(
-            nearby_point.gap, nearby_point.force
+        gap_series_without_static_part = balance_along_frequency.system(
+            problem.omega
+        ).gap_without_static_part(nearby_point.gap, nearby_point.force)
+        gap_series_without_static_part = gap_series_without_static_part / self.start
+        self.vibration_size = float(np.linalg.norm(gap_series_without_static_part[1:]))
+        self.start_unknown = np.append(gap_series_without_static_part / self.vibration_size, 1.0)
+        self.problem, self.exciting_harmonic = balance_along_frequency.problem, exciting_harmonic
+        self.n_time_means, self.shape = (
+            balance_along_frequency.n_time_means,
+            self.start_unknown.shape,
         )
-        slow_gap_coefficients = slow_gap_coefficients / self.start
-        self.vibration_size = float(np.linalg.norm(slow_gap_coefficients[1:]))
-        self.start_unknown = np.append(slow_gap_coefficients / self.vibration_size, 1.0)
-        self.problem, self.exciting_harmonic = frequency_equations.problem, exciting_harmonic
-        self.n_time_means, self.shape = frequency_equations.n_time_means, self.start_unknown.shape
 
     def rounding(self, parameter: float) -> float:
-        return self.frequency_equations.rounding(0.0)
+        return self.balance_along_frequency.rounding(0.0)
 
     def omega(self, value: float, unknown: np.ndarray) -> float:
         return float(unknown[-1]) * self.problem.omega
 
-    def curve_points_row(self, unknown: np.ndarray, value: float) -> np.ndarray:
+    def unscaled_solution(self, unknown: np.ndarray, value: float) -> np.ndarray:
         return self.vibration_size * value * unknown[:-1].reshape(-1, self.n_time_means)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:

@@ -28,12 +28,12 @@ from fenics_crack.basics.tables import Described, add_frequency_entries, format_
 from fenics_crack.curves.balance_equations import (
     EQUATIONS_CLASS_BY_PARAMETER,
     BalanceAlongFrequency,
-    as_run_up_structure,
+    require_run_up_structure,
 )
 from fenics_crack.curves.continuation import (
+    ContinuationLimits,
+    ContinuationLimitsKeywords,
     GrowingCurve,
-    StepLimits,
-    StepLimitsKeywords,
     check_range,
     make_first_path_point,
 )
@@ -126,7 +126,7 @@ class _PhaseResonanceEvent(ZeroCrossing):
     The displacement at the load then has no part in phase with the load.
     """
 
-    is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
+    is_terminal, must_be_located, description = True, True, EndReason.TERMINAL_EVENT_REACHED.value
 
 
 def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
@@ -152,15 +152,17 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     if not all_modes(problem.structure).damping.any():
         raise InputError("damping", 0.0, "> 0, as it limits the amplitude at resonance")
     start_omega = from_omega * (1.0 - MIN_RESOLVED_DISTANCE)  # a linear phase is then not 0
-    frequency_equations = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
+    balance_along_frequency = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
     start_unknown = (
-        Solver(frequency_equations.problem_at(start_omega)).solve().slow_gap_coefficients
+        Solver(balance_along_frequency.problem_at(start_omega))
+        .solve()
+        .gap_series_without_static_part
     )
-    contact_point = frequency_equations.linearise(start_unknown, 0.0)
+    contact_point = balance_along_frequency.linearise(start_unknown, 0.0)
     n_load_harmonics = len(problem.structure.force) // 2
     exciting_harmonics = [
-        ExcitingHarmonic.of_structure(problem.structure, harmonic + 1)
-        for harmonic in range(n_load_harmonics)
+        ExcitingHarmonic.of_structure(problem.structure, harmonic_index + 1)
+        for harmonic_index in range(n_load_harmonics)
     ]
     exciting_harmonic = max(
         exciting_harmonics,
@@ -174,31 +176,34 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     def phase_cosine(path_point: PathPoint) -> float:
         """Return the cosine of the phase between load and displacement."""
         complex_work = exciting_harmonic.complex_work(
-            frequency_equations.linearise(path_point.unknown, path_point.parameter)
+            balance_along_frequency.linearise(path_point.unknown, path_point.parameter)
         )
         return complex_work.real / abs(complex_work)
 
-    start_path_point = point_on_path(frequency_equations, start_unknown, 0.0)
+    start_path_point = point_on_path(balance_along_frequency, start_unknown, 0.0)
     if complex_work.real > 0.0:  # the resonance is above
         start_path_point = replace(start_path_point, tangent=start_path_point.tangent.reverse())
     resonance_path_point = Path(
-        frequency_equations,
+        balance_along_frequency,
         start_path_point,
         PATH_TO_RESONANCE_OPTIONS,
         [_PhaseResonanceEvent(phase_cosine)],
-    ).find_terminal_point_or_none()
+    ).find_terminal_event_point_or_none()
     if resonance_path_point is None:
         raise ConvergenceError(
             f"no resonance was found on the curve from {from_omega:.6g} rad/s on; begin at a load "
             "frequency nearer to the resonance"
         )
     problem = replace(
-        frequency_equations.problem, omega=frequency_equations.value(resonance_path_point.parameter)
+        balance_along_frequency.problem,
+        omega=balance_along_frequency.value(resonance_path_point.parameter),
     )
     resonance_system = ResonanceSystem(
         problem,
         exciting_harmonic,
-        frequency_equations.linearise(resonance_path_point.unknown, resonance_path_point.parameter),
+        balance_along_frequency.linearise(
+            resonance_path_point.unknown, resonance_path_point.parameter
+        ),
     )
     return resonance_system.linearise(resonance_system.start_unknown, 0.0)
 
@@ -212,7 +217,7 @@ def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> Phase
     problem_fields = {"omega": resonance_point.omega, "static_above": None} | changes
     problem = replace(resonance_point.problem, **problem_fields)
     system = ResonanceSystem(
-        problem, resonance_point.exciting_harmonic, resonance_point.contact_point
+        problem, resonance_point.exciting_harmonic, resonance_point.linearised_balance
     )
     tolerance = max(MAX_LOCATION_RESIDUAL, system.rounding(0.0))
     path_point = solve_by_full_or_damped_steps(
@@ -296,12 +301,14 @@ def _find_order_crossing_and_resonance_rate(
     if engine_order is None:
         return resonance_point, 0.0
     run_up_structure, resonance_omega = (
-        as_run_up_structure(resonance_point.problem.structure),
+        require_run_up_structure(resonance_point.problem.structure),
         resonance_point.omega,
     )
     speed, resonance_rate = (
         run_up_structure.speed,
-        run_up_structure.stiffening(resonance_omega * resonance_point.exciting_harmonic.harmonic),
+        run_up_structure.stiffening_exponent(
+            resonance_omega * resonance_point.exciting_harmonic.harmonic
+        ),
     )
     for _ in range(MAX_SPEED_CORRECTIONS):
         next_speed = (resonance_omega / engine_order - resonance_rate * speed) / (
@@ -333,9 +340,9 @@ def _small_problem_and_start_omega(
     The start frequency is ``near_omega``, or the problem's frequency if this is None. Raises
     InputError unless ``near_omega`` and ``tolerance`` are positive or None.
     """
-    for key, value in ("near", near_omega), ("tolerance", tolerance):
+    for argument_name, value in ("near", near_omega), ("tolerance", tolerance):
         if value is not None:
-            check_number(key, value, 0.0, excludes_bound=True)
+            check_number(argument_name, value, 0.0, excludes_bound=True)
     if not is_small(problem.structure):
         problem = replace(problem, structure=reduce_structure(problem.structure, method="massless"))
     return problem, problem.omega if near_omega is None else near_omega
@@ -413,7 +420,7 @@ def resonance_at(
     check_choice("parameter", parameter, ("omega", "speed"))
     engine_order, amplitude_error = None, math.nan
     if parameter == "speed":
-        engine_order = problem.omega / as_run_up_structure(problem.structure).speed
+        engine_order = problem.omega / require_run_up_structure(problem.structure).speed
     resonance_point = first_phase_resonance(
         *_small_problem_and_start_omega(problem, near, tolerance)
     )
@@ -455,7 +462,7 @@ def follow_resonance(
     tolerance: float | None = None,
     progress: bool = False,
     throw: bool = True,
-    **steps: Unpack[StepLimitsKeywords],
+    **steps: Unpack[ContinuationLimitsKeywords],
 ) -> ResponseCurve:
     """Follow a phase resonance over a factor for the vibrating load.
 
@@ -475,7 +482,7 @@ def follow_resonance(
     throw : bool
         Raise if the end is not reached; otherwise return the points so far.
     **steps
-        Keywords for :class:`StepLimits`: longest_step, most_points, turning_back.
+        Keywords for :class:`ContinuationLimits`: longest_step, most_points, max_turn_back_fraction.
 
     Returns
     -------
@@ -496,34 +503,44 @@ def follow_resonance(
     """
     check_range(problem, "resonance", start, end)
     problem, near = _small_problem_and_start_omega(problem, near, tolerance)
-    vary_load_factor = EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary_problem
+    problem_with_load_factor = EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary_problem
     if tolerance is not None:
-        end_point = _refined_point_and_error(
-            first_phase_resonance(vary_load_factor(problem, end), near), tolerance
+        resonance_at_end_factor = _refined_point_and_error(
+            first_phase_resonance(problem_with_load_factor(problem, end), near), tolerance
         )[0]
-        problem = problem.with_harmonics(end_point.problem.harmonics)
-    start_point = first_phase_resonance(vary_load_factor(problem, start), near)
+        problem = problem.with_harmonics(resonance_at_end_factor.problem.harmonics)
+    resonance_at_start_factor = first_phase_resonance(
+        problem_with_load_factor(problem, start), near
+    )
     start_problem = replace(
-        start_point.problem, structure=problem.structure, omega=start_point.omega
+        resonance_at_start_factor.problem,
+        structure=problem.structure,
+        omega=resonance_at_start_factor.omega,
     )
     system = ResonanceSystem(
-        start_problem, start_point.exciting_harmonic, start_point.contact_point, (start, end)
+        start_problem,
+        resonance_at_start_factor.exciting_harmonic,
+        resonance_at_start_factor.linearised_balance,
+        (start, end),
     )
     growing_curve = GrowingCurve(
-        system, make_first_path_point(system, system.start_unknown, 0.0, 0), StepLimits(**steps)
+        system,
+        make_first_path_point(system, system.start_unknown, 0.0, 0),
+        ContinuationLimits(**steps),
     )
     curve = run_to_end(growing_curve, progress, throw)
     resonance_points = (
         system.linearise(curve_point.unknown, system.parameter(curve_point.value))
         for curve_point in growing_curve.points
     )
-    n_multimode_points = sum(
+    n_points_far_from_peak = sum(
         abs(resonance_point.distance_to_peak_in_widths) > MAX_DISTANCE_TO_PEAK
         for resonance_point in resonance_points
     )
-    if n_multimode_points:
+    if n_points_far_from_peak:
         remark_text = (
-            f"at {n_multimode_points} of {format_count(len(curve), 'point')} several modes answer "
+            f"at {n_points_far_from_peak} of {format_count(len(curve), 'point')} several modes "
+            "answer "
             "together: another response may be larger, which a curve over omega at this load shows"
         )
         curve = replace(curve, status=f"{curve.status}; {remark_text}")

@@ -51,7 +51,7 @@ from fenics_crack.model.contact import (
     forces_and_slopes_of_smooth_law,
     is_unilateral,
 )
-from fenics_crack.model.modal import MODAL_COORDINATES_IN_CACHE, AllModes, all_modes, is_small
+from fenics_crack.model.modal import N_MODAL_COORDINATES_IN_CPU_CACHE, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import Attractor, find_attractor
 from fenics_crack.motion.flow import exact_flow_or_error
@@ -64,7 +64,7 @@ from fenics_crack.motion.orbit import (
     find_orbit,
     is_same_orbit_in_phase,
 )
-from fenics_crack.motion.search import ORBIT_STARTS_BY_NAME, SearchOptions, search_orbit
+from fenics_crack.motion.search import ORBIT_START_STRATEGY_BY_NAME, SearchOptions, search_orbit
 from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.fourier import sample_period
 from fenics_crack.numerics.newton import motion_size
@@ -104,7 +104,7 @@ def monodromy_of_linear_flow(
     InputError
         The law's tangent is not the slope of its force along the solution.
     """
-    modes = all_modes(structure).with_static_modes(static_cutoff)
+    modes = all_modes(structure).with_fast_modes_quasi_static(static_cutoff)
     gap_samples = sample_period(gap_coefficients, 4 * len(gap_coefficients))
     if modes.residual_compliance is not None:
         force_samples = forces_and_slopes_of_smooth_law(
@@ -117,10 +117,10 @@ def monodromy_of_linear_flow(
     coarser_product = extrapolated_matrix = _monodromy_matrix_by_equal_steps(
         modes, contact, gap_coefficients, base_omega, n_steps_per_period
     )
-    change_norm = matrix_norm = np.inf
+    monodromy_change_norm = monodromy_norm = np.inf
     while (
         n_steps_per_period < 2**13
-        and not change_norm <= MULTIPLIER_TOLERANCE * matrix_norm < np.inf
+        and not monodromy_change_norm <= MULTIPLIER_TOLERANCE * monodromy_norm < np.inf
     ):
         n_steps_per_period *= 2
         finer_product = _monodromy_matrix_by_equal_steps(
@@ -129,12 +129,16 @@ def monodromy_of_linear_flow(
         coarser_matrix = extrapolated_matrix
         extrapolated_matrix = finer_product + (finer_product - coarser_product) / 3.0
         coarser_product = finer_product
-        scaled_change_and_matrix = (
-            state_scales[:, None] * change_or_matrix / state_scales
-            for change_or_matrix in (extrapolated_matrix - coarser_matrix, extrapolated_matrix)
+        scaled_monodromy_change_and_matrix = (
+            state_scales[:, None] * monodromy_change_or_matrix / state_scales
+            for monodromy_change_or_matrix in (
+                extrapolated_matrix - coarser_matrix,
+                extrapolated_matrix,
+            )
         )
-        change_norm, matrix_norm = (
-            float(np.linalg.norm(scaled_matrix)) for scaled_matrix in scaled_change_and_matrix
+        monodromy_change_norm, monodromy_norm = (
+            float(np.linalg.norm(scaled_monodromy_or_change))
+            for scaled_monodromy_or_change in scaled_monodromy_change_and_matrix
         )
     if not np.all(np.isfinite(extrapolated_matrix)):
         raise ConvergenceError(
@@ -164,27 +168,28 @@ def _monodromy_matrix_by_equal_steps(
             step_size
             * forces_and_slopes_of_smooth_law(contact, modes.residual_compliance, gap_samples)[1]
         )
-    n_stretches = 1
+    n_period_parts = 1
     while (
-        n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < MODAL_COORDINATES_IN_CACHE
+        n_period_parts**2 < n_steps
+        and n_period_parts * (2 * n_modes) ** 2 < N_MODAL_COORDINATES_IN_CPU_CACHE
     ):
-        n_stretches *= 2
-    steps_times_stiffness_of_stretches = steps_times_stiffness.reshape(
-        n_stretches, n_steps // n_stretches, *steps_times_stiffness.shape[1:]
+        n_period_parts *= 2
+    steps_times_stiffness_of_parts = steps_times_stiffness.reshape(
+        n_period_parts, n_steps // n_period_parts, *steps_times_stiffness.shape[1:]
     )
-    transition_by_step = modes.transition_and_force_response(step_size)[0]
-    stretch_matrices = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
+    one_step_transition = modes.transition_and_force_response(step_size)[0]
+    period_part_matrices = np.tile(np.eye(2 * n_modes), (n_period_parts, 1, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
-        for step_times_stiffness in steps_times_stiffness_of_stretches.swapaxes(0, 1):
-            stretch_matrices[:, n_modes:] -= _velocity_change_by_contact(
-                modes, step_times_stiffness, stretch_matrices[:, :n_modes]
+        for step_times_stiffness in steps_times_stiffness_of_parts.swapaxes(0, 1):
+            period_part_matrices[:, n_modes:] -= _velocity_change_by_contact(
+                modes, step_times_stiffness, period_part_matrices[:, :n_modes]
             )
-            stretch_matrices = _states_after_step_without_contact(
-                modes, transition_by_step, stretch_matrices
+            period_part_matrices = _states_after_step_without_contact(
+                modes, one_step_transition, period_part_matrices
             )
-        monodromy_matrix = stretch_matrices[0]
-        for stretch_matrix in stretch_matrices[1:]:
-            monodromy_matrix = stretch_matrix @ monodromy_matrix
+        monodromy_matrix = period_part_matrices[0]
+        for period_part_matrix in period_part_matrices[1:]:
+            monodromy_matrix = period_part_matrix @ monodromy_matrix
         half_kick_matrix = np.zeros_like(monodromy_matrix)
         half_kick_matrix[n_modes:, :n_modes] = 0.5 * _velocity_change_by_contact(
             modes, steps_times_stiffness[0], np.eye(n_modes)
@@ -221,23 +226,25 @@ def _velocity_change_by_contact(
 
 
 def _states_after_step_without_contact(
-    modes: AllModes, transition_by_step: np.ndarray, states: np.ndarray
+    modes: AllModes, one_step_transition: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
     """Return modal states after one exact step without contact forces: (m, 2 n_modes, k).
 
     ``states`` (m, 2 n_modes, k) have modal displacements, then velocities, in the second index.
-    ``transition_by_step`` is exp(A h) of z' = A z over the step h: (2 n_modes, 2 n_modes). If
+    ``one_step_transition`` is exp(A h) of z' = A z over the step h: (2 n_modes, 2 n_modes). If
     damping does not couple modes, it is (4, n_modes), the diagonals of its four blocks.
     """
     if modes.damping.ndim == 2:
-        return np.asarray(transition_by_step @ states)
-    n_modes, transition_blocks = transition_by_step.shape[1], transition_by_step[:, :, None]
-    modal_displacements, modal_velocities = states[:, :n_modes], states[:, n_modes:]
+        return np.asarray(one_step_transition @ states)
+    n_modes, transition_blocks = one_step_transition.shape[1], one_step_transition[:, :, None]
+    displacements_before_step, velocities_before_step = states[:, :n_modes], states[:, n_modes:]
     new_displacement = (
-        transition_blocks[0] * modal_displacements + transition_blocks[1] * modal_velocities
+        transition_blocks[0] * displacements_before_step
+        + transition_blocks[1] * velocities_before_step
     )
     new_velocity = (
-        transition_blocks[2] * modal_displacements + transition_blocks[3] * modal_velocities
+        transition_blocks[2] * displacements_before_step
+        + transition_blocks[3] * velocities_before_step
     )
     return np.concatenate([new_displacement, new_velocity], axis=1)
 
@@ -322,7 +329,9 @@ def shoot(
         start_state = orbit_equations.state(settled_unknown)
         orbit = search_orbit(
             flow, solution.omega, [start_state[None]], subharmonic, prefer_stable=False,
-            start_strategies=(ORBIT_STARTS_BY_NAME["guesses"], ORBIT_STARTS_BY_NAME["path"]),
+            start_strategies=(
+                ORBIT_START_STRATEGY_BY_NAME["guesses"], ORBIT_START_STRATEGY_BY_NAME["path"],
+            ),
         ).orbit  # fmt: skip
     if orbit is not None and orbit.residual > tolerance:  # short last step, but large M
         reconverged_orbit = find_orbit(
@@ -433,26 +442,29 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
         assessment.flow is not None and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY
     )
     solution_verdict = stability_of(assessment).verdict if can_form_monodromy else "no exact flow"
-    nearest_orbit = assessment.nearest_orbit if can_form_monodromy else None
-    if solution_verdict != "unstable" or nearest_orbit is None:
+    orbit_nearest_to_solution = assessment.nearest_orbit if can_form_monodromy else None
+    if solution_verdict != "unstable" or orbit_nearest_to_solution is None:
         requirement = f"unstable, with an exact orbit of at most {MAX_MODES_FOR_MONODROMY} modes"
         raise InputError("solution", solution_verdict, requirement)
     orbit_equations = FlowOrbitEquations(
-        nearest_orbit.flow, nearest_orbit.omega, nearest_orbit.state, nearest_orbit.subharmonic
+        orbit_nearest_to_solution.flow,
+        orbit_nearest_to_solution.omega,
+        orbit_nearest_to_solution.state,
+        orbit_nearest_to_solution.subharmonic,
     )
-    multipliers, eigenvectors = np.linalg.eig(
+    unstable_orbit_multipliers, eigenvectors = np.linalg.eig(
         orbit_equations.state_factors[:, None]
-        * nearest_orbit.monodromy
+        * orbit_nearest_to_solution.monodromy
         / orbit_equations.state_factors
     )
-    largest_multiplier_index = int(np.abs(multipliers).argmax())
-    largest_multiplier = multipliers[largest_multiplier_index]
+    largest_multiplier_index = int(np.abs(unstable_orbit_multipliers).argmax())
+    largest_multiplier = unstable_orbit_multipliers[largest_multiplier_index]
     start_unknown_change = eigenvectors[:, largest_multiplier_index].real
-    orbit_states = nearest_orbit.period_samples.whole_states
-    rms_motion = motion_size(orbit_equations.state_factors * orbit_states) / np.sqrt(
-        len(orbit_states)
-    )
-    start_unknown_change *= 0.01 * rms_motion / np.linalg.norm(start_unknown_change)
+    unstable_orbit_states = orbit_nearest_to_solution.period_samples.whole_states
+    unstable_orbit_rms_motion = motion_size(
+        orbit_equations.state_factors * unstable_orbit_states
+    ) / np.sqrt(len(unstable_orbit_states))
+    start_unknown_change *= 0.01 * unstable_orbit_rms_motion / np.linalg.norm(start_unknown_change)
     distinct_attractors: list[Attractor] = []
     start_unknowns = (
         orbit_equations.start_unknown + start_unknown_change,
@@ -511,10 +523,10 @@ def stability_of(assessment: Assessment) -> Stability:
                 f"{irregular_attractor.description}",
             )
         if (
-            assessment.orbit_prediction is not None
+            assessment.orbit_prediction_by_newton_step is not None
             and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY
         ):
-            multipliers = eigenvalues(assessment.orbit_prediction.monodromy)
+            multipliers = eigenvalues(assessment.orbit_prediction_by_newton_step.monodromy)
         return Stability(multipliers, "undecided", np.nan, reason=assessment.rejection_reason)
     undecided_reason, largest_modulus = assessment.rejection_reason, abs(orbit.multipliers[0])
     if not undecided_reason and abs(largest_modulus - 1.0) <= MULTIPLIER_TOLERANCE:
@@ -541,7 +553,7 @@ def _stability_by_linear_flow(
     "undecided" if the modulus is 1 within this uncertainty, or if the solution's truncation error
     is unknown or above 0.05.
     """
-    gap_coefficients = solution.slow_gap_coefficients
+    gap_coefficients = solution.gap_series_without_static_part
     static_cutoff = solution.static_above
     multiplier_uncertainty = np.inf
     try:
@@ -551,20 +563,20 @@ def _stability_by_linear_flow(
             )
         )
         assessed_solution = replace(solution, structure=structure, contact=contact)
-        finer_solution = (
+        solution_with_twice_harmonics = (
             wave_with_twice_the_harmonics(assessed_solution) if gap_coefficients.size else solution
         )
-        if finer_solution is not None:
-            finer_gap_coefficients = finer_solution.slow_gap_coefficients
-            finer_matrix = monodromy_of_linear_flow(
+        if solution_with_twice_harmonics is not None:
+            finer_gap_coefficients = solution_with_twice_harmonics.gap_series_without_static_part
+            monodromy_with_twice_harmonics = monodromy_of_linear_flow(
                 structure, contact, finer_gap_coefficients, solution.base_omega, static_cutoff
             )
             multiplier_uncertainty = float(
-                abs(abs(eigenvalues(finer_matrix)[0]) - abs(multipliers[0]))
+                abs(abs(eigenvalues(monodromy_with_twice_harmonics)[0]) - abs(multipliers[0]))
             )
     except ConvergenceError as error:
-        unknown_multipliers = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
-        return Stability(unknown_multipliers, "undecided", np.nan, reason=str(error))
+        nan_multipliers = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
+        return Stability(nan_multipliers, "undecided", np.nan, reason=str(error))
     largest_modulus, solution_error, undecided_reason = (
         abs(multipliers[0]),
         solution.report.truncation,

@@ -85,8 +85,11 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         return judge_by_linear_flow(curve)
     begin_stage("stability by exact orbits")
     multipliers = np.full(len(curve), np.nan + 0j)
-    sampled_indices = {0, len(curve) // 2, len(curve) - 1}
-    for indices in map(sorted, (sampled_indices, {*range(len(curve))} - sampled_indices)):
+    first_middle_and_last_indices = {0, len(curve) // 2, len(curve) - 1}
+    for indices in map(
+        sorted,
+        (first_middle_and_last_indices, {*range(len(curve))} - first_middle_and_last_indices),
+    ):
         for index, assessment in zip(indices, curve.assessments(indices), strict=True):
             # With a larger error, the nearest orbit is seldom accepted.
             if assessment.predicted_error <= MAX_ORBIT_DISTANCE and assessment.is_accepted:
@@ -114,20 +117,22 @@ def _growth_factors_of_irregular_motions(
         other points nan.
     """
     growth_factors, undecided_indices = np.full(len(curve), np.nan), np.flatnonzero(is_undecided)
-    spread_positions = np.linspace(
+    positions_in_undecided_indices = np.linspace(
         0, len(undecided_indices) - 1, min(MAX_FOLLOWED_POINTS, len(undecided_indices))
     )
-    followed_indices = undecided_indices[spread_positions.astype(int)].tolist()
+    followed_indices = undecided_indices[positions_in_undecided_indices.astype(int)].tolist()
     for index, assessment in zip(
         followed_indices, curve.assessments(followed_indices), strict=True
     ):
         if irregular_attractor := assessment.irregular_attractor:
             growth_factors[index] = irregular_attractor.growth
-    for start_index, end_index in pairwise(followed_indices):
-        stretch_slice = slice(start_index, end_index + 1)
-        end_factors = growth_factors[[start_index, end_index]]
-        if is_undecided[stretch_slice].all() and np.prod(end_factors) > 0.0:
-            growth_factors[stretch_slice] = np.geomspace(*end_factors, end_index + 1 - start_index)
+    for stretch_start_index, stretch_end_index in pairwise(followed_indices):
+        stretch_slice = slice(stretch_start_index, stretch_end_index + 1)
+        growth_factors_at_stretch_ends = growth_factors[[stretch_start_index, stretch_end_index]]
+        if is_undecided[stretch_slice].all() and np.prod(growth_factors_at_stretch_ends) > 0.0:
+            growth_factors[stretch_slice] = np.geomspace(
+                *growth_factors_at_stretch_ends, stretch_end_index + 1 - stretch_start_index
+            )
     return growth_factors
 
 
@@ -158,12 +163,12 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
     has_crossing &= np.isfinite(multipliers[1:] + multipliers[:-1]).all(axis=1)[:, None]
     for point_index, kind_index in np.argwhere(has_crossing).tolist():
         bifurcation_kind = ("period_doubling", "neimark_sacker")[kind_index]
-        multiplier_pair_counts = multipliers_and_counts[point_index : point_index + 2, -1]
-        multiplier_pair_index = int(multiplier_pair_counts.real.max()) - 1
-        multiplier_pair_test = partial(
+        n_complex_pairs_outside_circle = multipliers_and_counts[point_index : point_index + 2, -1]
+        multiplier_pair_index = int(n_complex_pairs_outside_circle.real.max()) - 1
+        pair_modulus_excess_function = partial(
             complex_pair_modulus_excess, multiplier_pair_index=multiplier_pair_index
         )
-        test_function = multiplier_pair_test if kind_index else period_doubling_test_value
+        test_function = pair_modulus_excess_function if kind_index else period_doubling_test_value
         bifurcation_location = _locate_bifurcation(curve, point_index, test_function)
         bifurcations.append(curve.bifurcation(bifurcation_kind, *bifurcation_location))
     bifurcations.sort(key=curve.nearest)

@@ -30,6 +30,7 @@ from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MAX_VALUES_OF_AXIS, InputError, check_count, check_number
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import (
     RAD_PER_TURN,
     Conclusion,
@@ -44,7 +45,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.disk.cyclic import excited_diameter
 from fenics_crack.disk.wheel import Wheel, WheelInFewCoordinates, count_basis_families
 from fenics_crack.fem.build import assemble_structure
-from fenics_crack.files.store import SavedResult
+from fenics_crack.files.store import SavableResult
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
@@ -79,6 +80,7 @@ def wheel_of(structure: Structure) -> Wheel:
     return structure.whole
 
 
+@keep_old_attribute_names(fundamental="first_harmonic", second="second_harmonic_ratio")
 @dataclass(frozen=True, repr=False)
 class Blades(Tabular):
     """Result of :func:`blades`: vibration at the same dof in each blade.
@@ -88,9 +90,9 @@ class Blades(Tabular):
     amplitude : (N,) [m]
         Half the peak-to-peak displacement. For a curve, at the point with the blade's largest
         response.
-    fundamental : (N,) complex [m]
+    first_harmonic : (N,) complex [m]
         First harmonic, the coefficient of e^(i w t): a - i b for a cos(w t) + b sin(w t).
-    second : (N,)
+    second_harmonic_ratio : (N,)
         Second harmonic's amplitude over the first harmonic's amplitude.
     omega : (N,) [rad/s]
         Load frequency. For a curve, at the point with the blade's largest response.
@@ -101,8 +103,8 @@ class Blades(Tabular):
     """
 
     amplitude: np.ndarray
-    fundamental: np.ndarray
-    second: np.ndarray
+    first_harmonic: np.ndarray
+    second_harmonic_ratio: np.ndarray
     omega: np.ndarray
     mistuning: np.ndarray
     cracked: tuple[int, ...]
@@ -113,7 +115,7 @@ class Blades(Tabular):
     @property
     def phase(self) -> np.ndarray:
         """Phase lead (N,) [rad] of each blade's first harmonic over cos(w t)."""
-        return np.angle(self.fundamental)
+        return np.angle(self.first_harmonic)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result's columns by name, with a row for each blade."""
@@ -122,7 +124,7 @@ class Blades(Tabular):
             "blade": list(blade_numbers),
             "amplitude": self.amplitude.tolist(),
             "phase": np.degrees(self.phase).tolist(),
-            "ratio_2_1": self.second.tolist(),
+            "ratio_2_1": self.second_harmonic_ratio.tolist(),
             "frequency": (self.omega / (2.0 * np.pi)).tolist(),
             "mistuning": self.mistuning.tolist(),
             "crack": [
@@ -177,7 +179,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     structure = solution_or_curve.structure
     wheel = wheel_of(structure)
     blade_dofs = wheel.dofs_of_blades(int(wheel.as_dof_numbers([dof])[0]))
-    get_solution_at_point = cache(
+    get_solution_at_curve_point = cache(
         lambda point_index: (
             solution_or_curve if is_solution else solution_or_curve.solution(point_index)
         )
@@ -186,15 +188,22 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     for blade_indicators, blade_dof in zip(
         solution_or_curve.indicators_of_dofs(blade_dofs), blade_dofs, strict=True
     ):
-        solution = get_solution_at_point(int(np.argmax(blade_indicators.amplitude)))
+        solution = get_solution_at_curve_point(int(np.argmax(blade_indicators.amplitude)))
         displacement_coefficients = structure.values_at(
             solution.displacement_coefficients, [blade_dof]
         )
         complex_harmonics = to_complex(displacement_coefficients)[:, 0]
-        second_amplitude = abs(complex_harmonics[2]) if len(complex_harmonics) > 2 else 0.0
-        second_ratio = second_amplitude / abs(complex_harmonics[1]) if complex_harmonics[1] else 0.0
+        second_harmonic_amplitude = abs(complex_harmonics[2]) if len(complex_harmonics) > 2 else 0.0
+        second_harmonic_ratio = (
+            second_harmonic_amplitude / abs(complex_harmonics[1]) if complex_harmonics[1] else 0.0
+        )
         blade_result_rows.append(
-            (solution.amplitude(blade_dof), complex_harmonics[1], second_ratio, solution.omega)
+            (
+                solution.amplitude(blade_dof),
+                complex_harmonics[1],
+                second_harmonic_ratio,
+                solution.omega,
+            )
         )
     amplitudes, first_harmonics, second_ratios, omegas = map(
         np.array, zip(*blade_result_rows, strict=True)
@@ -213,7 +222,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
 
 
 @dataclass(frozen=True, repr=False)
-class NodalDiameters(SavedResult):
+class NodalDiameters(SavableResult):
     """Result of :func:`nodal_diameters`: natural frequencies over the nodal diameter.
 
     The disk is tuned, with bonded cracks.
@@ -338,7 +347,7 @@ def report_of_diameters(disk_modes: NodalDiameters) -> Report:
 
 
 @dataclass(frozen=True, repr=False)
-class Amplification(SavedResult):
+class Amplification(SavableResult):
     """Result of :func:`amplification`: factors for n random mistuning patterns, without contact.
 
     Attributes
@@ -470,7 +479,9 @@ def amplification(
         pattern_scene = uncracked_scene.replace({"disk.seed": seed + pattern_index})
         own_result_rows.append((pattern_index, *find_peak(pattern_scene.given("disk").deviations)))
     pattern_result_rows = sorted(
-        row for rows_of_rank in comm.allgather(own_result_rows) for row in rows_of_rank
+        result_row
+        for rows_of_rank in comm.allgather(own_result_rows)
+        for result_row in rows_of_rank
     )
     _, peak_amplitudes, peak_omegas, blade_numbers = map(
         np.array, zip(*pattern_result_rows, strict=True)
@@ -492,10 +503,13 @@ def report_of_amplification(amplification_result: Amplification) -> Report:
 
     The full table with a row for each pattern is written, but not printed.
     """
-    percents = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
+    percentile_levels = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
     percentile_table = Table(
         ["share of patterns [%]", "amplification factor"],
-        [[percent, amplification_result.percentile(percent)] for percent in percents],
+        [
+            [percentile_level, amplification_result.percentile(percentile_level)]
+            for percentile_level in percentile_levels
+        ],
     )
     tuned_peak_text = (
         f"{format_quantity(amplification_result.tuned, 'm')} at "
@@ -542,8 +556,8 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
         raise InputError("damping", None, "modal or Rayleigh damping, which limits the amplitude")
     omegas_of_diameters = np.array(wheel.cyclic_modes().omega)
     excited_omegas = omegas_of_diameters[excited_diameter(wheel.order, n_sectors)]
-    family_omega = excited_omegas[np.argmin(np.abs(excited_omegas - load_omega))]
-    is_below_family = omegas_of_diameters < family_omega * (1.0 - 1e-9)
+    natural_omega_nearest_to_load = excited_omegas[np.argmin(np.abs(excited_omegas - load_omega))]
+    is_below_family = omegas_of_diameters < natural_omega_nearest_to_load * (1.0 - 1e-9)
     n_modes_below_family = round(
         n_sectors * float(wheel.sector.load_shares_of_diameters @ is_below_family.sum(axis=1))
     )

@@ -42,7 +42,7 @@ from fenics_crack.model.body import Body
 from fenics_crack.model.factor import Factor, local_rows, make_matrix_from_local_rows
 from fenics_crack.model.modes import (
     MULTIPLE_FREQUENCY_TOLERANCE,
-    NEGLIGIBLE,
+    STIFFNESS_SOLUTION_ROUNDING,
     solve_modes_with_factor,
 )
 from fenics_crack.model.structure import Structure
@@ -73,7 +73,7 @@ class SectorNumbering:
         members on the right side, the member with the same motion is in the next sector.
     belongs_to_next_sector : (n,) bool
         True for members on the right side.
-    upper_face_members : (n_upper,) int
+    upper_crack_face_members : (n_upper,) int
         Members on the upper crack face.
     """
 
@@ -104,9 +104,9 @@ class SectorNumbering:
             representative_members, return_inverse=True
         )
         right_members = node_members[side_nodes[1]]
-        upper_face_members = node_members[crack_face_nodes[1]].ravel()
+        upper_crack_face_members = node_members[crack_face_nodes[1]].ravel()
         self.belongs_to_next_sector = np.isin(np.arange(len(representative_members)), right_members)
-        self.upper_face_members = upper_face_members[upper_face_members >= 0]
+        self.upper_crack_face_members = upper_crack_face_members[upper_crack_face_members >= 0]
 
     def number_wheel_members(
         self, n_sectors: int, cracked_sectors: Sequence[int]
@@ -128,13 +128,13 @@ class SectorNumbering:
         all_members = np.arange(n_sectors * len(self.member_positions)).reshape(n_sectors, -1)
         owner_sectors = (np.arange(n_sectors)[:, None] + self.belongs_to_next_sector) % n_sectors
         wheel_numbers = self.member_positions + owner_sectors * len(self.own_members)
-        open_entry_index = np.ix_(cracked_sectors, self.upper_face_members)
-        bonded_members = all_members[:, self.own_members].ravel()
-        open_members = all_members[open_entry_index]
-        wheel_numbers[open_entry_index] = len(bonded_members) + np.arange(
-            open_members.size
-        ).reshape(open_members.shape)
-        return wheel_numbers, np.concatenate([bonded_members, open_members.ravel()])
+        open_crack_member_index = np.ix_(cracked_sectors, self.upper_crack_face_members)
+        bonded_wheel_members = all_members[:, self.own_members].ravel()
+        open_crack_members = all_members[open_crack_member_index]
+        wheel_numbers[open_crack_member_index] = len(bonded_wheel_members) + np.arange(
+            open_crack_members.size
+        ).reshape(open_crack_members.shape)
+        return wheel_numbers, np.concatenate([bonded_wheel_members, open_crack_members.ravel()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ class Sector:
         N, the number of sectors.
     center : (d,) [m]
         A point on the axis.
-    rotation : (d, d)
+    one_sector_rotation : (d, d)
         Q, which turns the left side to the right side, and each sector to the next.
     side_nodes : (2, m) int
         Nodes on the left side, and matching nodes on the right side.
@@ -167,7 +167,7 @@ class Sector:
     structure: Structure
     n_sectors: int
     center: np.ndarray
-    rotation: np.ndarray
+    one_sector_rotation: np.ndarray
     side_nodes: np.ndarray
     crack_face_nodes: np.ndarray
     stiffness_at_rest: Any
@@ -202,7 +202,9 @@ class Sector:
 
     def rotation_matrix(self, n_sector_steps: int) -> np.ndarray:
         """Return the rotation by a number of sectors: Q^n_sector_steps, (d, d)."""
-        return np.asarray(np.linalg.matrix_power(self.rotation, n_sector_steps % self.n_sectors))
+        return np.asarray(
+            np.linalg.matrix_power(self.one_sector_rotation, n_sector_steps % self.n_sectors)
+        )
 
     def turn_points(self, points: np.ndarray, n_sector_steps: int) -> np.ndarray:
         """Turn points (n, d) [m] on the first sector by ``n_sector_steps`` sectors."""
@@ -236,7 +238,7 @@ class Sector:
             Shapes with v^H M v = 1 and v^H K v diagonal.
         """
         squared_norms, eigenvectors = np.linalg.eigh(shapes.conj().T @ (self.mass @ shapes))
-        is_kept = squared_norms > NEGLIGIBLE * squared_norms[-1]
+        is_kept = squared_norms > STIFFNESS_SOLUTION_ROUNDING * squared_norms[-1]
         shapes = shapes @ (eigenvectors[:, is_kept] / np.sqrt(squared_norms[is_kept]))
         squared_omegas, eigenvectors = scipy.linalg.eigh(
             shapes.conj().T @ (self.stiffness @ shapes), shapes.conj().T @ (self.mass @ shapes)
@@ -247,41 +249,46 @@ class Sector:
     def yield_zero_diameter_solver(self) -> Iterator[NodalDiameterSolver]:
         """Factorise the stiffness inside the sector, and yield a solver (context manager).
 
-        The solver is for nodal diameter 0; :meth:`NodalDiameterSolver.at_diameter` makes further
-        solvers with the same factors. The factors are freed when the context ends.
+        The solver is for nodal diameter 0; :meth:`NodalDiameterSolver.solver_at_diameter` makes
+        further solvers with the same factors. The factors are freed when the context ends.
         """
-        dof_numbering, n_own_dofs = self.dof_numbering, len(self.dof_numbering.own_members)
-        stacked_tie_matrices = make_selection_matrix(
-            dof_numbering.member_positions + n_own_dofs * dof_numbering.belongs_to_next_sector,
-            2 * n_own_dofs,
+        dof_numbering, n_independent_dofs = self.dof_numbering, len(self.dof_numbering.own_members)
+        own_and_next_tie_matrices = make_selection_matrix(
+            dof_numbering.member_positions
+            + n_independent_dofs * dof_numbering.belongs_to_next_sector,
+            2 * n_independent_dofs,
         )
         tied_stiffness = sparse.csr_matrix(
-            stacked_tie_matrices.T @ self.stiffness @ stacked_tie_matrices
+            own_and_next_tie_matrices.T @ self.stiffness @ own_and_next_tie_matrices
         )
         side_rows = np.unique(dof_numbering.member_positions[dof_numbering.belongs_to_next_sector])
-        inside_rows = np.setdiff1d(np.arange(n_own_dofs), side_rows)
-        right_rows = n_own_dofs + side_rows
-        left_coupling, right_coupling = (
-            tied_stiffness[inside_rows][:, columns] for columns in (side_rows, right_rows)
+        inside_rows = np.setdiff1d(np.arange(n_independent_dofs), side_rows)
+        right_rows = n_independent_dofs + side_rows
+        inside_left_stiffness, inside_right_stiffness = (
+            tied_stiffness[inside_rows][:, side_columns] for side_columns in (side_rows, right_rows)
         )
         inside_stiffness = make_matrix_from_local_rows(
             tied_stiffness[inside_rows][:, inside_rows], MPI.COMM_SELF
         )
-        with Factor(inside_stiffness, definite=True) as inside_stiffness_factor:
-            left_response, right_response = (
-                inside_stiffness_factor.solve(coupling.T).T
-                for coupling in (left_coupling, right_coupling)
+        with Factor(inside_stiffness, definite=True) as factorised_inside_stiffness:
+            inside_response_to_left_side, inside_response_to_right_side = (
+                factorised_inside_stiffness.solve(inside_side_coupling.T).T
+                for inside_side_coupling in (inside_left_stiffness, inside_right_stiffness)
             )
-            side_stiffness = (
+            condensed_side_stiffness = (
                 tied_stiffness[side_rows][:, side_rows] + tied_stiffness[right_rows][:, right_rows]
-                - left_coupling.T @ left_response - right_coupling.T @ right_response
+                - inside_left_stiffness.T @ inside_response_to_left_side
+                - inside_right_stiffness.T @ inside_response_to_right_side
             )  # fmt: skip
             left_right_stiffness = (
-                tied_stiffness[side_rows][:, right_rows] - left_coupling.T @ right_response
+                tied_stiffness[side_rows][:, right_rows]
+                - inside_left_stiffness.T @ inside_response_to_right_side
             )
             yield NodalDiameterSolver(
-                self, inside_stiffness_factor, stacked_tie_matrices, inside_rows, side_rows,
-                (left_coupling, right_coupling), side_stiffness, left_right_stiffness, 1.0,
+                self, factorised_inside_stiffness, own_and_next_tie_matrices, inside_rows,
+                side_rows,
+                (inside_left_stiffness, inside_right_stiffness), condensed_side_stiffness,
+                left_right_stiffness, 1.0,
             )  # fmt: skip
         inside_stiffness.destroy()
 
@@ -310,33 +317,33 @@ class NodalDiameterSolver:
     ----------
     sector : Sector
         The wheel's sector.
-    inside_stiffness_factor : Factor
+    factorised_inside_stiffness : Factor
         Factor of the inside's stiffness K_ii.
-    stacked_tie_matrices : (n_dofs, 2 n_own)
+    own_and_next_tie_matrices : (n_dofs, 2 n_own)
         [T_0, T_1]: u_j = T_0 m_j + T_1 m_(j+1) for the sectors' own dofs m.
     inside_rows, side_rows : (n_inside,), (n_side,) int
         Positions among the sector's own dofs: inside, and on the left side.
-    left_and_right_couplings : pair of (n_inside, n_side)
+    inside_left_and_right_stiffness : pair of (n_inside, n_side)
         Stiffness K_il [N/m] between inside and left side, then inside and right side.
-    side_stiffness, left_right_stiffness : (n_side, n_side) [N/m]
+    condensed_side_stiffness, left_right_stiffness : (n_side, n_side) [N/m]
         P and R.
     phase_factor : complex
         e^(it).
     """
 
     sector: Sector
-    inside_stiffness_factor: Factor
-    stacked_tie_matrices: sparse.csr_matrix
+    factorised_inside_stiffness: Factor
+    own_and_next_tie_matrices: sparse.csr_matrix
     inside_rows: np.ndarray
     side_rows: np.ndarray
-    left_and_right_couplings: tuple[sparse.csr_matrix, sparse.csr_matrix]
-    side_stiffness: np.ndarray
+    inside_left_and_right_stiffness: tuple[sparse.csr_matrix, sparse.csr_matrix]
+    condensed_side_stiffness: np.ndarray
     left_right_stiffness: np.ndarray
     phase_factor: complex
 
     n_null_pivots = 0
 
-    def at_diameter(self, diameter: int) -> NodalDiameterSolver:
+    def solver_at_diameter(self, diameter: int) -> NodalDiameterSolver:
         """Return the solver for another nodal diameter, with the same factors."""
         phase_factor = np.exp(2j * np.pi * diameter / self.sector.n_sectors)
         is_single_wave = self.sector.has_single_wave(diameter)
@@ -353,26 +360,29 @@ class NodalDiameterSolver:
 
         Multiplied by a sector's own dofs, T_n gives all dofs in this sector.
         """
-        n_own_dofs = self.stacked_tie_matrices.shape[1] // 2
+        n_independent_dofs = self.own_and_next_tie_matrices.shape[1] // 2
         return sparse.csr_matrix(
-            self.stacked_tie_matrices[:, :n_own_dofs]
-            + self.phase_factor * self.stacked_tie_matrices[:, n_own_dofs:]
+            self.own_and_next_tie_matrices[:, :n_independent_dofs]
+            + self.phase_factor * self.own_and_next_tie_matrices[:, n_independent_dofs:]
         )
 
     @cached_property
     def side_stiffness_inverse(self) -> np.ndarray:
         """Inverse S_n^-1 of the left side's stiffness: (n_side, n_side) [m/N]."""
         cross_term = np.asarray(self.phase_factor * self.left_right_stiffness)
-        return np.linalg.inv(np.asarray(self.side_stiffness) + cross_term + cross_term.conj().T)
+        return np.linalg.inv(
+            np.asarray(self.condensed_side_stiffness) + cross_term + cross_term.conj().T
+        )
 
     @cached_property
-    def side_coupling_matrix(self) -> sparse.csr_matrix:
+    def inside_side_stiffness(self) -> sparse.csr_matrix:
         """Stiffness K_il between inside and left side for this nodal diameter [N/m].
 
         Shape (n_inside, n_side); the right side's part has the phase factor.
         """
         return sparse.csr_matrix(
-            self.left_and_right_couplings[0] + self.phase_factor * self.left_and_right_couplings[1]
+            self.inside_left_and_right_stiffness[0]
+            + self.phase_factor * self.inside_left_and_right_stiffness[1]
         )
 
     def solve_inside(self, forces: np.ndarray) -> np.ndarray:
@@ -383,8 +393,8 @@ class NodalDiameterSolver:
         if not forces.any():
             return forces
         if not np.iscomplexobj(forces):
-            return self.inside_stiffness_factor.solve(np.ascontiguousarray(forces).T).T
-        real_and_imaginary_columns = self.inside_stiffness_factor.solve(
+            return self.factorised_inside_stiffness.solve(np.ascontiguousarray(forces).T).T
+        real_and_imaginary_columns = self.factorised_inside_stiffness.solve(
             np.hstack([forces.real, forces.imag]).T
         ).T
         real_part, imaginary_part = np.split(real_and_imaginary_columns, 2, axis=1)
@@ -410,14 +420,16 @@ class NodalDiameterSolver:
         (n_dofs, m) [m]
             Displacement of all the sector's dofs.
         """
-        displacement = np.zeros((self.stacked_tie_matrices.shape[1], left_displacement.shape[1]))
+        displacement = np.zeros(
+            (self.own_and_next_tie_matrices.shape[1], left_displacement.shape[1])
+        )
         displacement[self.side_rows] = left_displacement
         displacement[len(displacement) // 2 + self.side_rows] = right_displacement
-        left_coupling, right_coupling = self.left_and_right_couplings
+        inside_left_stiffness, inside_right_stiffness = self.inside_left_and_right_stiffness
         displacement[self.inside_rows] = inside_motion - self.solve_inside(
-            left_coupling @ left_displacement + right_coupling @ right_displacement
+            inside_left_stiffness @ left_displacement + inside_right_stiffness @ right_displacement
         )
-        return np.asarray(self.stacked_tie_matrices @ displacement)
+        return np.asarray(self.own_and_next_tie_matrices @ displacement)
 
     def solve(self, forces: np.ndarray) -> np.ndarray:
         """Return the response K_n^-1 f [m] to forces f on the sector's own dofs.
@@ -426,14 +438,14 @@ class NodalDiameterSolver:
         m) [N] are real or complex; the response has the same shape.
         """
         inside_motion = self.solve_inside(forces[self.inside_rows])
-        side_coupling_matrix = self.side_coupling_matrix
-        side_force = forces[self.side_rows] - side_coupling_matrix.conj().T @ inside_motion
+        inside_side_stiffness = self.inside_side_stiffness
+        side_force = forces[self.side_rows] - inside_side_stiffness.conj().T @ inside_motion
         displacement = np.empty(
             forces.shape, dtype=np.result_type(forces, self.side_stiffness_inverse)
         )
         displacement[self.side_rows] = side_motion = self.side_stiffness_inverse @ side_force
         displacement[self.inside_rows] = inside_motion - self.solve_inside(
-            side_coupling_matrix @ side_motion
+            inside_side_stiffness @ side_motion
         )
         return displacement
 
@@ -607,7 +619,7 @@ class CyclicBasis:
             )
         return np.hstack(motion_blocks)
 
-    def _yield_sector_projections(
+    def _yield_projection_of_each_sector(
         self, matrix: sparse.csr_matrix, column_range: slice
     ) -> Iterator[np.ndarray]:
         """Yield the projection U_j^T A U_j for each sector j.
@@ -616,20 +628,23 @@ class CyclicBasis:
         stiffness or mass over a sector's dofs. Only the projection's columns in ``column_range``
         are computed.
         """
-        mapped_modes = replace(
+        matrix_times_modes = replace(
             self.cyclic_modes, shapes=tuple(matrix @ shapes for shapes in self.cyclic_modes.shapes)
         )
-        mapped_responses = np.array(
-            [matrix @ response for response in self.sector_displacements_by_openings]
+        matrix_times_responses = np.array(
+            [
+                matrix @ displacements_of_sector
+                for displacements_of_sector in self.sector_displacements_by_openings
+            ]
         )
-        mapped_openings = matrix @ self.crack_opening_shapes
-        mapped_basis = CyclicBasis(
-            mapped_modes, mapped_responses, mapped_openings, self.cracked_sectors
+        matrix_times_openings = matrix @ self.crack_opening_shapes
+        matrix_times_basis = CyclicBasis(
+            matrix_times_modes, matrix_times_responses, matrix_times_openings, self.cracked_sectors
         )
         for sector_index in range(self.cyclic_modes.sector.n_sectors):
             yield (
                 self.sector_motions(sector_index).T
-                @ mapped_basis.sector_motions(sector_index)[:, column_range]
+                @ matrix_times_basis.sector_motions(sector_index)[:, column_range]
             )
 
     @cached_property
@@ -640,7 +655,7 @@ class CyclicBasis:
         for the openings follows from the bond forces on the upper crack faces.
         """
         sector, opening_columns = self.cyclic_modes.sector, slice(len(self.squared_omegas), None)
-        mass_columns = sum(self._yield_sector_projections(sector.mass, opening_columns))
+        mass_columns = sum(self._yield_projection_of_each_sector(sector.mass, opening_columns))
         mass, stiffness = np.eye(len(mass_columns)), np.zeros((len(mass_columns),) * 2)
         mass[:, opening_columns], mass[opening_columns] = mass_columns, mass_columns.T
         stiffness[: opening_columns.start, : opening_columns.start] = np.diag(self.squared_omegas)
@@ -664,7 +679,7 @@ class CyclicBasis:
         return np.array(
             [
                 0.5 * (sector_stiffness + sector_stiffness.T)
-                for sector_stiffness in self._yield_sector_projections(
+                for sector_stiffness in self._yield_projection_of_each_sector(
                     stiffness_at_rest, slice(None)
                 )
             ]
@@ -677,9 +692,11 @@ def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm) -> CyclicM
     The wheel is tuned, with bonded cracks. The ranks share the nodal diameters.
     """
     families, modes_by_diameter = min(families, len(sector.dof_numbering.own_members)), {}
-    with sector.yield_zero_diameter_solver() as base_solver:
+    with sector.yield_zero_diameter_solver() as zero_diameter_solver:
         for diameter in sector.nodal_diameter_range[comm.rank :: comm.size]:
-            modes_by_diameter[diameter] = base_solver.at_diameter(diameter).solve_modes(families)
+            modes_by_diameter[diameter] = zero_diameter_solver.solver_at_diameter(
+                diameter
+            ).solve_modes(families)
     omegas_of_diameters, shapes_of_diameters = zip(
         *_gather_results_by_diameter(modes_by_diameter, comm).values(), strict=True
     )
@@ -716,64 +733,82 @@ def make_cyclic_basis(
     families = min(families, len(sector.dof_numbering.own_members))
     loads_of_diameters, n_dofs = _make_diameter_loads(sector, engine_order), sector.structure.n_dofs
     # The modes of these nodal diameters give the side-force patterns for all nodal diameters.
-    pattern_diameters = list(dict.fromkeys((0, sector.n_sectors // 4, sector.n_sectors // 2)))
-    remaining_diameters = [n for n in sector.nodal_diameter_range if n not in pattern_diameters]
-    own_diameters = [*pattern_diameters, *remaining_diameters][comm.rank :: comm.size]
+    side_pattern_diameters = list(dict.fromkeys((0, sector.n_sectors // 4, sector.n_sectors // 2)))
+    remaining_diameters = [
+        n for n in sector.nodal_diameter_range if n not in side_pattern_diameters
+    ]
+    own_diameters = [*side_pattern_diameters, *remaining_diameters][comm.rank :: comm.size]
     results_by_diameter: dict[int, tuple[Any, ...]] = {}
-    with sector.yield_zero_diameter_solver() as base_solver:
-        own_pattern_diameters = [n for n in own_diameters if n in pattern_diameters]
+    with sector.yield_zero_diameter_solver() as zero_diameter_solver:
+        own_side_pattern_diameters = [n for n in own_diameters if n in side_pattern_diameters]
         own_modes_by_diameter = {
-            n: base_solver.at_diameter(n).solve_modes(families) for n in own_pattern_diameters
+            n: zero_diameter_solver.solver_at_diameter(n).solve_modes(families)
+            for n in own_side_pattern_diameters
         }
         modes_by_diameter = _gather_results_by_diameter(own_modes_by_diameter, comm)
         side_force_patterns = _find_side_force_patterns(
-            sector, [modes_by_diameter[n] for n in pattern_diameters]
+            sector, [modes_by_diameter[n] for n in side_pattern_diameters]
         )
-        bond_force_columns = -sector.stiffness[:, sector.dof_numbering.upper_face_members]
-        bond_matrix = sparse.csr_matrix(base_solver.stacked_tie_matrices.T @ bond_force_columns)
-        left_rows = base_solver.side_rows
+        bond_force_columns = -sector.stiffness[:, sector.dof_numbering.upper_crack_face_members]
+        bond_forces_on_own_dofs = sparse.csr_matrix(
+            zero_diameter_solver.own_and_next_tie_matrices.T @ bond_force_columns
+        )
+        left_rows = zero_diameter_solver.side_rows
         right_rows = len(sector.dof_numbering.own_members) + left_rows
-        inside_forces = bond_matrix[base_solver.inside_rows].toarray()
-        side_bond_forces = bond_matrix[left_rows].toarray(), bond_matrix[right_rows].toarray()
-        inside_motions = base_solver.solve_inside(inside_forces)
-        relieved_stiffness = inside_forces.T @ inside_motions
-        del inside_forces, bond_matrix
+        inside_bond_forces = bond_forces_on_own_dofs[zero_diameter_solver.inside_rows].toarray()
+        side_bond_forces = (
+            bond_forces_on_own_dofs[left_rows].toarray(),
+            bond_forces_on_own_dofs[right_rows].toarray(),
+        )
+        inside_motions_by_bond_forces = zero_diameter_solver.solve_inside(inside_bond_forces)
+        face_stiffness_decrease = inside_bond_forces.T @ inside_motions_by_bond_forces
+        del inside_bond_forces, bond_forces_on_own_dofs
         left_forces, right_forces = (
-            side_forces - coupling.T @ inside_motions
-            for side_forces, coupling in zip(
-                side_bond_forces, base_solver.left_and_right_couplings, strict=True
+            condensed_side_forces - inside_side_coupling.T @ inside_motions_by_bond_forces
+            for condensed_side_forces, inside_side_coupling in zip(
+                side_bond_forces, zero_diameter_solver.inside_left_and_right_stiffness, strict=True
             )
         )
         for diameter in own_diameters:
-            diameter_solver = base_solver.at_diameter(diameter)
+            diameter_solver = zero_diameter_solver.solver_at_diameter(diameter)
             _, shapes = own_modes_by_diameter.get(diameter) or diameter_solver.solve_modes(families)
             omega_shapes_and_bond_forces = _make_diameter_basis(
                 diameter_solver, shapes, loads_of_diameters[diameter], side_force_patterns
             )
-            side_forces = left_forces + np.conj(diameter_solver.phase_factor) * right_forces
-            side_motion_wave = diameter_solver.side_stiffness_inverse @ side_forces
+            condensed_side_forces = (
+                left_forces + np.conj(diameter_solver.phase_factor) * right_forces
+            )
+            side_motion_wave = diameter_solver.side_stiffness_inverse @ condensed_side_forces
             results_by_diameter[diameter] = *omega_shapes_and_bond_forces, side_motion_wave
         results_of_diameters = _gather_results_by_diameter(results_by_diameter, comm).values()
         omega_arrays, shape_matrices, bond_forces, side_motion_waves = zip(
             *results_of_diameters, strict=True
         )
-        side_motions = scipy.fft.irfft(side_motion_waves, sector.n_sectors, axis=0)
-        relieved_stiffness += left_forces.T @ side_motions[0] + right_forces.T @ side_motions[1]
-        face_shapes = relieved_stiffness[:, :0]
+        side_motions_by_sector = scipy.fft.irfft(side_motion_waves, sector.n_sectors, axis=0)
+        face_stiffness_decrease += (
+            left_forces.T @ side_motions_by_sector[0] + right_forces.T @ side_motions_by_sector[1]
+        )
+        upper_face_opening_shapes = face_stiffness_decrease[:, :0]
         if cracked_sectors:
-            face_shapes = _find_opening_shapes(sector, np.hstack(bond_forces), relieved_stiffness)
-        side_motions, inside_motions = side_motions @ face_shapes, inside_motions @ face_shapes
-        opening_responses = np.zeros((sector.n_sectors, n_dofs, face_shapes.shape[1]))
+            upper_face_opening_shapes = _find_opening_shapes(
+                sector, np.hstack(bond_forces), face_stiffness_decrease
+            )
+        side_motions_by_sector, inside_motions_by_bond_forces = (
+            side_motions_by_sector @ upper_face_opening_shapes,
+            inside_motions_by_bond_forces @ upper_face_opening_shapes,
+        )
+        opening_responses = np.zeros((sector.n_sectors, n_dofs, upper_face_opening_shapes.shape[1]))
         for sector_index in range(comm.rank, sector.n_sectors, comm.size):
-            right_motions = side_motions[(sector_index + 1) % sector.n_sectors]
-            inside_motion = inside_motions if sector_index == 0 else 0.0
-            opening_responses[sector_index] = base_solver.sector_displacement(
-                side_motions[sector_index], right_motions, inside_motion
+            right_motions = side_motions_by_sector[(sector_index + 1) % sector.n_sectors]
+            inside_motion = inside_motions_by_bond_forces if sector_index == 0 else 0.0
+            opening_responses[sector_index] = zero_diameter_solver.sector_displacement(
+                side_motions_by_sector[sector_index], right_motions, inside_motion
             )
         comm.Allreduce(MPI.IN_PLACE, opening_responses)
     cyclic_modes = CyclicModes(omega_arrays, shape_matrices, sector)
     opening_shapes = (
-        make_selection_matrix(sector.dof_numbering.upper_face_members, n_dofs).T @ face_shapes
+        make_selection_matrix(sector.dof_numbering.upper_crack_face_members, n_dofs).T
+        @ upper_face_opening_shapes
     )
     return CyclicBasis(cyclic_modes, opening_responses, opening_shapes, cracked_sectors)
 
@@ -802,7 +837,7 @@ def _make_diameter_basis(
     shapes : (n_dofs, n)
         Shapes for modes and static responses together.
     bond_forces : (n_upper, k) [(N/m)^(1/2)]
-        Real bond forces, scaled as in :func:`_compute_bond_forces`.
+        Real bond forces, scaled as in :func:`_compute_crack_bond_forces`.
     """
     sector = diameter_solver.sector
     load_response = diameter_solver.static_response(load)
@@ -810,15 +845,15 @@ def _make_diameter_basis(
         [diameter_solver.static_response(side_force_patterns), load_response]
     )
     new_motions = static_responses - shapes @ (shapes.conj().T @ (sector.mass @ static_responses))
-    new_norms, response_norms = (
+    new_norms, static_response_norms = (
         np.sqrt(np.sum(np.abs(motions) ** 2, axis=0)) for motions in (new_motions, static_responses)
     )
-    is_kept = new_norms > MULTIPLE_FREQUENCY_TOLERANCE * response_norms
+    is_kept = new_norms > MULTIPLE_FREQUENCY_TOLERANCE * static_response_norms
     new_motions = new_motions[:, is_kept] / new_norms[is_kept]
     omega, shapes = sector.solve_ritz_modes(
         np.hstack([shapes, sector.solve_ritz_modes(new_motions)[1]])
     )
-    return omega, shapes, _compute_bond_forces(sector, omega, shapes, load, load_response)
+    return omega, shapes, _compute_crack_bond_forces(sector, omega, shapes, load, load_response)
 
 
 def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
@@ -850,7 +885,7 @@ def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
     ]
 
 
-def _compute_bond_forces(
+def _compute_crack_bond_forces(
     sector: Sector,
     omega: np.ndarray,
     shapes: np.ndarray,
@@ -873,11 +908,13 @@ def _compute_bond_forces(
     mode_forces = (sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega
     load_works = np.sum(load.conj() * load_response, axis=0).real
     load_forces = (sector.stiffness @ load_response - load) / np.sqrt(load_works)
-    bond_forces = np.hstack([mode_forces, load_forces])[sector.dof_numbering.upper_face_members]
+    bond_forces = np.hstack([mode_forces, load_forces])[
+        sector.dof_numbering.upper_crack_face_members
+    ]
     return np.hstack([bond_forces.real, bond_forces.imag])
 
 
-MIN_BOND_FORCE_PATTERN_SIZE = 1e-5
+MIN_BOND_PATTERN_SINGULAR_VALUE = 1e-5
 """Minimum size [-] of a kept bond-force pattern.
 
 The squared size is the pattern's relative change of w^2 or the load's work, if the crack opens.
@@ -886,46 +923,56 @@ Smaller patterns matter less than the neglected mass at the faces, up to 6e-9 in
 
 
 def _find_opening_shapes(
-    sector: Sector, bond_forces: np.ndarray, relieved_stiffness: np.ndarray
+    sector: Sector, bond_forces: np.ndarray, face_stiffness_decrease: np.ndarray
 ) -> np.ndarray:
     """Find m displacements D (n_upper, m) for opening the crack, at the upper face.
 
     D are the responses to contact forces and to bond forces, normalised to D^T K D = 1 with the
     stiffness K of the upper face in the wheel. Patterns of bond forces smaller than
-    ``MIN_BOND_FORCE_PATTERN_SIZE`` are left out.
+    ``MIN_BOND_PATTERN_SINGULAR_VALUE`` are left out.
 
     Parameters
     ----------
     bond_forces : (n_upper, k) [(N/m)^(1/2)]
-        Forces scaled as in :func:`_compute_bond_forces`.
-    relieved_stiffness : (n_upper, n_upper) [N/m]
+        Forces scaled as in :func:`_compute_crack_bond_forces`.
+    face_stiffness_decrease : (n_upper, n_upper) [N/m]
         Decrease of the face's stiffness because the rest of the wheel gives way.
     """
-    structure, upper_face_members = sector.structure, sector.dof_numbering.upper_face_members
-    gap_matrices = [structure.gap] + (
+    structure, upper_crack_face_members = (
+        sector.structure,
+        sector.dof_numbering.upper_crack_face_members,
+    )
+    normal_and_tangential_gap_matrices = [structure.gap] + (
         [] if structure.tangential is None else [structure.tangential]
     )
     opening_stiffness = (
-        sector.stiffness[upper_face_members][:, upper_face_members].toarray() - relieved_stiffness
+        sector.stiffness[upper_crack_face_members][:, upper_crack_face_members].toarray()
+        - face_stiffness_decrease
     )
-    lower_factor = scipy.linalg.cholesky(
+    stiffness_cholesky_factor = scipy.linalg.cholesky(
         0.5 * (opening_stiffness + opening_stiffness.T), lower=True
     )
-    contact_patterns, bond_forces = (
-        scipy.linalg.solve_triangular(lower_factor, face_forces, lower=True)
+    scaled_contact_forces, bond_forces = (
+        scipy.linalg.solve_triangular(stiffness_cholesky_factor, face_forces, lower=True)
         for face_forces in (
-            sparse.hstack(gap_matrices).tocsr()[upper_face_members].toarray(),
+            sparse.hstack(normal_and_tangential_gap_matrices)
+            .tocsr()[upper_crack_face_members]
+            .toarray(),
             bond_forces,
         )
     )
-    contact_basis = scipy.linalg.orth(contact_patterns)
-    bond_patterns, pattern_sizes, _ = np.linalg.svd(
-        bond_forces - contact_basis @ (contact_basis.T @ bond_forces), full_matrices=False
+    contact_force_basis = scipy.linalg.orth(scaled_contact_forces)
+    bond_force_patterns, pattern_sizes, _ = np.linalg.svd(
+        bond_forces - contact_force_basis @ (contact_force_basis.T @ bond_forces),
+        full_matrices=False,
     )
-    kept_patterns = np.hstack(
-        [contact_basis, bond_patterns[:, pattern_sizes > MIN_BOND_FORCE_PATTERN_SIZE]]
+    kept_force_patterns = np.hstack(
+        [
+            contact_force_basis,
+            bond_force_patterns[:, pattern_sizes > MIN_BOND_PATTERN_SINGULAR_VALUE],
+        ]
     )
-    return scipy.linalg.solve_triangular(lower_factor.T, kept_patterns)
+    return scipy.linalg.solve_triangular(stiffness_cholesky_factor.T, kept_force_patterns)
 
 
 def _gather_results_by_diameter(

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INSTANTS_PER_PERIOD = 48
+AMPLITUDE_INSTANTS_PER_PERIOD = 48
 """Instants per period for finding each node's largest displacement."""
 
 
@@ -65,39 +65,53 @@ def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOpti
     >>> figure = fc.draw_wheel(fc.solve(disk).result, path="disk.png")
     """
     wheel = wheel_of(solution.structure)
-    mesh = NodalMesh(solution.structure)
-    displacements = mesh.nodal_vectors(
+    nodal_mesh = NodalMesh(solution.structure)
+    displacements_over_period = nodal_mesh.nodal_vectors(
         solution.displacement_field(
-            solution.period / INSTANTS_PER_PERIOD * np.arange(INSTANTS_PER_PERIOD)
+            solution.period
+            / AMPLITUDE_INSTANTS_PER_PERIOD
+            * np.arange(AMPLITUDE_INSTANTS_PER_PERIOD)
         )
     )
-    displacements = displacements - displacements.mean(axis=0)
-    displacement_sizes = np.linalg.norm(displacements, axis=2)
+    displacements_over_period = displacements_over_period - displacements_over_period.mean(axis=0)
+    displacement_sizes = np.linalg.norm(displacements_over_period, axis=2)
     node_amplitudes = displacement_sizes.max(axis=0)
-    displacement_at_largest = displacements[int(np.argmax(displacement_sizes.max(axis=1)))]
+    displacement_at_peak_instant = displacements_over_period[
+        int(np.argmax(displacement_sizes.max(axis=1)))
+    ]
     [panel] = picture = Picture(size=(6.4, 6.0), comm=wheel.comm, **picture_options)
-    unit_factor, unit = choose_factor_and_prefixed_unit(float(node_amplitudes.max()), "m")
+    amplitude_unit_factor, amplitude_unit = choose_factor_and_prefixed_unit(
+        float(node_amplitudes.max()), "m"
+    )
     shape_displacement = (
-        0.5 * magnification_to_tenth(displacement_at_largest, mesh.size) * displacement_at_largest
+        0.5
+        * magnification_to_tenth(displacement_at_peak_instant, nodal_mesh.size)
+        * displacement_at_peak_instant
     )
     coloured_mesh = draw_displaced_mesh(
-        panel, mesh, shape_displacement, unit_factor * node_amplitudes, is_wheel=True
+        panel,
+        nodal_mesh,
+        shape_displacement,
+        amplitude_unit_factor * node_amplitudes,
+        is_wheel=True,
     )
-    panel.figure.colorbar(coloured_mesh, ax=panel, label=f"amplitude [{unit}]", shrink=0.7)
-    if mesh.dimension == 2:
+    panel.figure.colorbar(
+        coloured_mesh, ax=panel, label=f"amplitude [{amplitude_unit}]", shrink=0.7
+    )
+    if nodal_mesh.dimension == 2:
         _write_blade_numbers(panel, wheel)
     return picture.save_with_title()
 
 
 def _write_blade_numbers(panel: Axes, wheel: Wheel) -> None:
     """Write each blade's number outside the disk, at mid-sector; cracked blades are orange."""
-    sector, nodes = wheel.sector, wheel.sector.structure.nodes
-    assert nodes is not None
-    sector_middle = nodes.points.mean(axis=0) - sector.center
-    text_radius = 1.08 * float(np.linalg.norm(nodes.points - sector.center, axis=1).max())
+    sector, sector_nodes = wheel.sector, wheel.sector.structure.nodes
+    assert sector_nodes is not None
+    vector_to_sector_middle = sector_nodes.points.mean(axis=0) - sector.center
+    text_radius = 1.08 * float(np.linalg.norm(sector_nodes.points - sector.center, axis=1).max())
     for sector_index in range(sector.n_sectors):
         text_position = sector.center + text_radius * sector.rotation_matrix(sector_index) @ (
-            sector_middle / np.linalg.norm(sector_middle)
+            vector_to_sector_middle / np.linalg.norm(vector_to_sector_middle)
         )
         colour, weight = ("orange", "bold") if sector_index in wheel.cracked else ("grey", "normal")
         panel.text(
@@ -150,16 +164,21 @@ def draw_blades(
     """
     wheel = wheel_of(curve.problem_of(0).structure)
     blade_dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
-    blade_amplitudes = np.array([curve.amplitude(blade_dof) for blade_dof in blade_dofs])
+    blade_amplitudes_along_curve = np.array(
+        [curve.amplitude(blade_dof) for blade_dof in blade_dofs]
+    )
     unit_factor, *parameter_name_and_unit = axis_factor_name_and_unit(curve.parameter, in_hertz)
     [panel] = picture = Picture(comm=wheel.comm, **picture_options)
     uncracked_blades = [
         blade_index for blade_index in range(len(blade_dofs)) if blade_index not in wheel.cracked
     ]
-    peak_amplitudes = blade_amplitudes.max(axis=1)
+    peak_amplitudes = blade_amplitudes_along_curve.max(axis=1)
     for blade_index in uncracked_blades:
         panel.plot(
-            unit_factor * curve.values, blade_amplitudes[blade_index], color="#b4b4b4", lw=0.8
+            unit_factor * curve.values,
+            blade_amplitudes_along_curve[blade_index],
+            color="#b4b4b4",
+            lw=0.8,
         )
     highlighted_blades_and_styles = (
         [(max(uncracked_blades, key=lambda blade_index: peak_amplitudes[blade_index]), "blue", "")]
@@ -173,7 +192,7 @@ def draw_blades(
         peak_text = format_quantity(float(peak_amplitudes[blade_index]), "m")
         panel.plot(
             unit_factor * curve.values,
-            blade_amplitudes[blade_index],
+            blade_amplitudes_along_curve[blade_index],
             color=CURVE_COLOUR_CODE_BY_NAME[colour],
             lw=1.5,
             label=f"blade {blade_index + 1}{label_suffix}, up to {peak_text}",
@@ -184,7 +203,7 @@ def draw_blades(
     panel.set_yscale("log")
     panel.set_xlabel(f"{parameter_name_and_unit[0]} [{parameter_name_and_unit[1]}]")
     label_axis(panel.yaxis, "amplitude", "m")
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def draw_nodal_diameters(
@@ -231,10 +250,10 @@ def draw_nodal_diameters(
             lw=0.8,
             label=f"family {family_number}",
         )
-    excited_frequencies = frequencies[found.excited]
+    frequencies_at_excited_diameter = frequencies[found.excited]
     panel.plot(
-        np.full(len(excited_frequencies), found.excited),
-        excited_frequencies,
+        np.full(len(frequencies_at_excited_diameter), found.excited),
+        frequencies_at_excited_diameter,
         "o",
         ms=10,
         color="black",
@@ -259,7 +278,7 @@ def draw_nodal_diameters(
         )
     panel.set(xlabel="nodal diameter", ylabel="natural frequency [Hz]", ylim=(0.0, upper_limit))
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOptions]) -> Figure:
@@ -305,13 +324,13 @@ def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOp
         label=f"95 % of patterns below {percentile_95:.3g}",
     )
     sorted_factors = np.sort(found.factor)
-    share_axes = panel.twinx()
-    share_axes.plot(
+    cumulative_share_axes = panel.twinx()
+    cumulative_share_axes.plot(
         sorted_factors,
         100.0 * np.arange(1, n_patterns + 1) / n_patterns,
         color=CURVE_COLOUR_CODE_BY_NAME["orange"],
         lw=1.4,
     )
-    share_axes.set(ylabel="share below [%]", ylim=(0.0, 102.0))
-    share_axes.yaxis.label.set_color(CURVE_COLOUR_CODE_BY_NAME["orange"])
-    return picture.finish()
+    cumulative_share_axes.set(ylabel="share below [%]", ylim=(0.0, 102.0))
+    cumulative_share_axes.yaxis.label.set_color(CURVE_COLOUR_CODE_BY_NAME["orange"])
+    return picture.draw_legends_and_save()

@@ -46,24 +46,30 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
             rotation_terms = assemble_rotation(
                 scene, dofs, structure, zero_diameter_solver.static_response
             )
-        static_stiffness, stiffness = rotation_terms.static_shape_and_motion_stiffness(scene.speed)
+        static_shape_stiffness, motion_stiffness = rotation_terms.static_and_motion_stiffness(
+            scene.speed
+        )
         # The static displacement u_s and its stress are computed with bonded cracks. Then the load
         # is replaced by K(W) u_s, with the full stiffness of the displaced shape, and opens cracks.
-        load_rows, centrifugal_load = structure.force.copy(), scene.speed**2 * rotation_terms.force
+        load_fourier_coefficients, centrifugal_load = (
+            structure.force.copy(),
+            scene.speed**2 * rotation_terms.force,
+        )
         stiffened_sector = replace(
-            sector, structure=structure._plain_structure_with_changes(stiffness=static_stiffness)
+            sector,
+            structure=structure._plain_structure_with_changes(stiffness=static_shape_stiffness),
         )
         with stiffened_sector.yield_zero_diameter_solver() as zero_diameter_solver:
             static_displacement = zero_diameter_solver.static_response(centrifugal_load[:, None])
-        load_rows[0] += (
+        load_fourier_coefficients[0] += (
             centrifugal_load
             + (
-                multiply_columns(stiffness, static_displacement)
-                - multiply_columns(static_stiffness, static_displacement)
+                multiply_columns(motion_stiffness, static_displacement)
+                - multiply_columns(static_shape_stiffness, static_displacement)
             )[:, 0]
         )
         rotating_structure = structure._plain_structure_with_changes(
-            stiffness=stiffness, force=load_rows
+            stiffness=motion_stiffness, force=load_fourier_coefficients
         )
         sector = replace(sector, structure=rotating_structure)
     return Wheel(
@@ -86,8 +92,8 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
     """
     from scipy.spatial.transform import Rotation  # only meshes of sectors need it
 
-    disk, (center, axis) = scene.given("disk"), scene.axis_point_and_direction
-    node_points, mesh_extent = dofs.points, float(np.ptp(dofs.points, axis=0).max())
+    disk, (center, axis_direction) = scene.given("disk"), scene.axis_point_and_direction
+    mesh_node_points, mesh_extent = dofs.points, float(np.ptp(dofs.points, axis=0).max())
     side_names = (
         RIM_SIDE_NAMES if RIM_SIDE_NAMES[0] in dofs.part_mesh.tags_by_group else ("left", "right")
     )
@@ -100,24 +106,24 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
                 f"has no {side_name!r}",
             )
     left_nodes, right_nodes = (dofs.nodes_on(side_name) for side_name in side_names)
-    spatial_points = np.pad(node_points, ((0, 0), (0, 3 - node_points.shape[1])))
+    spatial_points = np.pad(mesh_node_points, ((0, 0), (0, 3 - mesh_node_points.shape[1])))
     turn_angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
     rotation_matrices = [
-        Rotation.from_rotvec(turn_angle * axis).as_matrix() for turn_angle in turn_angles
+        Rotation.from_rotvec(turn_angle * axis_direction).as_matrix() for turn_angle in turn_angles
     ]
-    partner_matches = [
+    matches_by_turn_direction = [
         _find_partners_and_largest_distance(
             (spatial_points[left_nodes] - center) @ rotation_matrix.T + center,
             spatial_points[right_nodes],
         )
         for rotation_matrix in rotation_matrices
     ]
-    (largest_distance, worst_node_index, right_partners), rotation_matrix = min(
-        zip(partner_matches, rotation_matrices, strict=True),
+    (largest_distance, worst_node_index, right_partner_indices), rotation_matrix = min(
+        zip(matches_by_turn_direction, rotation_matrices, strict=True),
         key=lambda match_and_rotation: match_and_rotation[0][0],
     )
     if largest_distance > RELATIVE_POSITION_TOLERANCE * mesh_extent:
-        place_text = format_point(node_points[left_nodes[worst_node_index]])
+        node_position_text = format_point(mesh_node_points[left_nodes[worst_node_index]])
         distance_text = (
             f"is {largest_distance:.2g} m from the nearest right one"
             if math.isfinite(largest_distance)
@@ -126,20 +132,21 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
         requirement_text = (
             f"a sector whose left side, turned about the axis by 360/{disk.sectors} degrees, is "
             f"the right side: the left one has {len(left_nodes)} nodes, the right one "
-            f"{len(right_nodes)}; the left node at {place_text} m {distance_text}"
+            f"{len(right_nodes)}; the left node at {node_position_text} m {distance_text}"
         )
-        key = "mesh.file" if side_names[0] == "left" else "disk"
-        raise InputError(key, scene.mesh.file or "a table", requirement_text)
+        scene_key_in_error = "mesh.file" if side_names[0] == "left" else "disk"
+        raise InputError(scene_key_in_error, scene.mesh.file or "a table", requirement_text)
     if len(common_nodes := np.intersect1d(left_nodes, right_nodes)):
-        place_text = format_point(node_points[common_nodes[0]])
+        node_position_text = format_point(mesh_node_points[common_nodes[0]])
         raise InputError(
             "mesh.file",
             scene.mesh.file,
-            f"a sector that does not reach the axis, as at the node {place_text} m",
+            f"a sector that does not reach the axis, as at the node {node_position_text} m",
         )
-    dimension = node_points.shape[1]
+    dimension = mesh_node_points.shape[1]
     dofs.set_sector_sides(
-        np.array([left_nodes, right_nodes[right_partners]]), rotation_matrix[:dimension, :dimension]
+        np.array([left_nodes, right_nodes[right_partner_indices]]),
+        rotation_matrix[:dimension, :dimension],
     )
 
 
@@ -151,37 +158,46 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     InputError
         The crack reaches a side, or the nodes on both crack faces do not match.
     """
-    node_points, side_node_pairs = dofs.points, dofs.side_node_pairs
-    node_rotations = dofs.node_to_global_rotations
+    mesh_node_points, side_node_pairs = dofs.points, dofs.side_node_pairs
+    node_rotations = dofs.frame_rotation_matrix_by_node
     assert side_node_pairs is not None and node_rotations is not None
     crack_face_nodes = np.zeros((2, 0), dtype=int)
     if dofs.part_mesh.has_cracks:  # tips belong to both faces and need no bond
-        lower_nodes, upper_nodes = (dofs.nodes_on(face_name) for face_name in CRACK_FACE_NAMES)
-        lower_nodes, upper_nodes = (
-            np.setdiff1d(lower_nodes, upper_nodes),
-            np.setdiff1d(upper_nodes, lower_nodes),
+        lower_crack_face_nodes, upper_crack_face_nodes = (
+            dofs.nodes_on(crack_face_name) for crack_face_name in CRACK_FACE_NAMES
         )
-        largest_distance, worst_node_index, upper_partners = _find_partners_and_largest_distance(
-            node_points[lower_nodes], node_points[upper_nodes]
+        lower_crack_face_nodes, upper_crack_face_nodes = (
+            np.setdiff1d(lower_crack_face_nodes, upper_crack_face_nodes),
+            np.setdiff1d(upper_crack_face_nodes, lower_crack_face_nodes),
+        )
+        largest_distance, worst_node_index, upper_partner_indices = (
+            _find_partners_and_largest_distance(
+                mesh_node_points[lower_crack_face_nodes], mesh_node_points[upper_crack_face_nodes]
+            )
         )
         if largest_distance > RELATIVE_POSITION_TOLERANCE * float(
-            np.ptp(node_points, axis=0).max()
+            np.ptp(mesh_node_points, axis=0).max()
         ):
-            place_text = format_point(node_points[lower_nodes[worst_node_index]])
+            node_position_text = format_point(
+                mesh_node_points[lower_crack_face_nodes[worst_node_index]]
+            )
             raise InputError(
                 "lips",
-                f"{len(lower_nodes)} lower and {len(upper_nodes)} upper nodes",
-                f"crack faces with the same nodes; these differ at {place_text} m",
+                f"{len(lower_crack_face_nodes)} lower and {len(upper_crack_face_nodes)} upper "
+                "nodes",
+                f"crack faces with the same nodes; these differ at {node_position_text} m",
             )
-        crack_face_nodes = np.array([lower_nodes, upper_nodes[upper_partners]])
+        crack_face_nodes = np.array(
+            [lower_crack_face_nodes, upper_crack_face_nodes[upper_partner_indices]]
+        )
     if len(common_nodes := np.intersect1d(crack_face_nodes, side_node_pairs)):
-        place_text = format_point(node_points[common_nodes[0]])
+        node_position_text = format_point(mesh_node_points[common_nodes[0]])
         raise InputError(
             "lips",
             "a crack",
-            f"one inside the sector; it reaches a side of the sector at {place_text} m",
+            f"one inside the sector; it reaches a side of the sector at {node_position_text} m",
         )
-    center = scene.axis_point_and_direction[0][: node_points.shape[1]]
+    center = scene.axis_point_and_direction[0][: mesh_node_points.shape[1]]
     rotation_matrix = node_rotations[side_node_pairs[1, 0]]
     return Sector(
         structure,
@@ -212,11 +228,11 @@ def _find_partners_and_largest_distance(
 
     distances, partner_indices = cKDTree(candidates).query(points)
     worst_point_index = int(np.argmax(distances))
-    is_ambiguous = len(candidates) != len(points) or len(np.unique(partner_indices)) != len(
+    is_not_one_to_one = len(candidates) != len(points) or len(np.unique(partner_indices)) != len(
         partner_indices
     )
     return (
-        (math.inf if is_ambiguous else float(distances[worst_point_index])),
+        (math.inf if is_not_one_to_one else float(distances[worst_point_index])),
         worst_point_index,
         partner_indices,
     )

@@ -36,7 +36,10 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.progress import begin_stage
-from fenics_crack.basics.suggestions import fit_argument_to_annotation
+from fenics_crack.basics.suggestions import (
+    check_argument_class_or_unwrap_run,
+    keep_old_attribute_names,
+)
 from fenics_crack.disk.cyclic import (
     CyclicBasis,
     CyclicModes,
@@ -46,9 +49,9 @@ from fenics_crack.disk.cyclic import (
     make_selection_matrix,
     solve_cyclic_modes,
 )
-from fenics_crack.model.body import DEFAULT_SETTING, Body
+from fenics_crack.model.body import SETTING_WITHOUT_CHANGES, Body
 from fenics_crack.model.factor import local_rows, make_matrix_from_local_rows
-from fenics_crack.model.matrices import AbsentMatrix, floats_or_nan
+from fenics_crack.model.matrices import AbsentMatrix, floats_or_single_nan
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import Nodes, Pairs, body_property
 from fenics_crack.model.reduced import ReducedStructure
@@ -67,9 +70,10 @@ class WheelBody(Body):
     order: int
     families: int
     wheel_dof_numbers: np.ndarray
-    owner_positions: np.ndarray
+    flat_sector_member_indices: np.ndarray
 
 
+@keep_old_attribute_names(blade_of="blade_and_sector_dof_of", numbers="wheel_dofs_by_sector")
 class Wheel(Structure):
     """Structure of a whole bladed disk, with all matrix rows on rank 0.
 
@@ -88,11 +92,11 @@ class Wheel(Structure):
         The load's engine order.
     families : int
         Number of modes kept in a reduction, for each nodal diameter and for each blade.
-    numbers : (N, n_sector) int
+    wheel_dofs_by_sector : (N, n_sector) int
         The wheel's dof for each sector's dofs.
     places : (n,) int
-        For each dof of the wheel, the owner as a position in the flattened ``numbers``: sector
-        times n_sector plus the dof in this sector.
+        For each dof of the wheel, the owner as a position in the flattened
+        ``wheel_dofs_by_sector``: sector times n_sector plus the dof in this sector.
     """
 
     body: WheelBody
@@ -101,8 +105,8 @@ class Wheel(Structure):
     cracked: tuple[int, ...] = body_property("cracked_sectors")
     mistuning: np.ndarray = body_property("mistuning")
     order: int = body_property("order")
-    numbers: np.ndarray = body_property("wheel_dof_numbers")
-    places: np.ndarray = body_property("owner_positions")
+    wheel_dofs_by_sector: np.ndarray = body_property("wheel_dof_numbers")
+    places: np.ndarray = body_property("flat_sector_member_indices")
 
     def __init__(
         self,
@@ -115,55 +119,61 @@ class Wheel(Structure):
         rotation: Any = None,
         comm: MPI.Comm = MPI.COMM_SELF,
     ) -> None:
-        fit_argument_to_annotation("sector", sector, "Sector", ("Sector",))
+        check_argument_class_or_unwrap_run("sector", sector, "Sector", ("Sector",))
         check_count("families", families, 1)
         sector_structure, n_sectors = sector.structure, sector.n_sectors
-        tangential_gap = sector_structure.tangential
+        sector_tangential_gap_matrix = sector_structure.tangential
         cracked = tuple(cracked) if sector_structure.n_pairs else ()
-        wheel_dof_numbers, owner_positions = sector.dof_numbering.number_wheel_members(
+        wheel_dof_numbers, flat_sector_member_indices = sector.dof_numbering.number_wheel_members(
             n_sectors, cracked
         )
-        absent_matrix = AbsentMatrix(len(owner_positions), comm.rank)
+        absent_matrix = AbsentMatrix(len(flat_sector_member_indices), comm.rank)
         own_rows = slice(None if comm.rank == 0 else 0)
-        copy_matrix = make_selection_matrix(wheel_dof_numbers.ravel(), len(owner_positions))
-        cracked_sector_columns = np.eye(n_sectors)[:, list(cracked)]
+        wheel_to_sector_dofs_matrix = make_selection_matrix(
+            wheel_dof_numbers.ravel(), len(flat_sector_member_indices)
+        )
+        cracked_sector_selection_matrix = np.eye(n_sectors)[:, list(cracked)]
 
         def assemble_forces(forces: np.ndarray) -> np.ndarray:
             """Add up the sectors' forces at the wheel's dofs.
 
             Given are m rows of forces (m, N, n_sector) [N]; the result is (m, n_local) [N].
             """
-            return np.asarray(forces.reshape(len(forces), -1) @ copy_matrix)[:, own_rows]
+            return np.asarray(forces.reshape(len(forces), -1) @ wheel_to_sector_dofs_matrix)[
+                :, own_rows
+            ]
 
         def assemble_gap(gap: sparse.spmatrix) -> sparse.csr_matrix:
             """Assemble the gap matrix B of all cracks: (n_local, n_pairs).
 
             ``gap`` is a sector's gap matrix, normal or tangential.
             """
-            return sparse.csr_matrix(copy_matrix.T @ sparse.kron(cracked_sector_columns, gap))[
-                own_rows
-            ]
+            return sparse.csr_matrix(
+                wheel_to_sector_dofs_matrix.T @ sparse.kron(cracked_sector_selection_matrix, gap)
+            )[own_rows]
 
-        watched_dof_weights = sector_structure.watched
-        if watched_dof_weights is None:
-            watched_dof_weights = np.eye(
+        watched_sector_dof_weights = sector_structure.watched
+        if watched_sector_dof_weights is None:
+            watched_sector_dof_weights = np.eye(
                 1, sector_structure.n_dofs, sector_structure.find_most_loaded_dof()
             )[0]
-        watched_sector_row = np.eye(1, n_sectors, cracked[0] if cracked else 0)
+        watched_sector_indicator = np.eye(1, n_sectors, cracked[0] if cracked else 0)
         watched_wheel_dof_weights = assemble_forces(
-            watched_sector_row[..., None] * watched_dof_weights
+            watched_sector_indicator[..., None] * watched_sector_dof_weights
         )[0]
         force = assemble_forces(_make_sector_loads(sector, order))
         wheel_body = WheelBody(
             absent_matrix, absent_matrix, assemble_gap(sector_structure.gap), force,
             np.tile(sector_structure.clearance, len(cracked)), damping=sector_structure.damping,
-            tangential=None if tangential_gap is None else assemble_gap(tangential_gap),
+            tangential=None if sector_tangential_gap_matrix is None
+            else assemble_gap(sector_tangential_gap_matrix),
             nodes=_make_wheel_nodes(sector, cracked, wheel_dof_numbers, own_rows),
             pairs=_make_wheel_pairs(sector, cracked), watched=watched_wheel_dof_weights,
             rotation=rotation, comm=comm,
             sector=sector, cracked_sectors=cracked,
             mistuning=_read_deviations(mistuning, n_sectors), order=order, families=families,
-            wheel_dof_numbers=wheel_dof_numbers, owner_positions=owner_positions,
+            wheel_dof_numbers=wheel_dof_numbers,
+            flat_sector_member_indices=flat_sector_member_indices,
         )  # fmt: skip
         super().__init__(wheel_body)
 
@@ -207,20 +217,20 @@ class Wheel(Structure):
             raise InputError("blade", blade, f"a whole number from 1 to {n_sectors}")
         if not 0 <= dof < n_sector_dofs:
             raise InputError("dof", dof, f"a whole number from 0 to {n_sector_dofs - 1}")
-        return int(self.numbers[blade - 1, dof])
+        return int(self.wheel_dofs_by_sector[blade - 1, dof])
 
-    def blade_of(self, dof: int) -> tuple[int, int]:
+    def blade_and_sector_dof_of(self, dof: int) -> tuple[int, int]:
         """Return the sector's number, from 1, and the dof in this sector for a wheel's dof."""
         sector_index, sector_dof = divmod(int(self.places[dof]), self.sector.structure.n_dofs)
         return sector_index + 1, sector_dof
 
     def dofs_of_blades(self, dof: int) -> list[int]:
         """Return the dofs at the same place on all blades, from blade 1 to N."""
-        return list(map(int, self.numbers[:, self.blade_of(dof)[1]]))
+        return list(map(int, self.wheel_dofs_by_sector[:, self.blade_and_sector_dof_of(dof)[1]]))
 
     def dof_name(self, dof: int) -> str:
         """Name a dof: "x displacement at (0.1, 0.1) m of blade 3"."""
-        blade, sector_dof = self.blade_of(dof)
+        blade, sector_dof = self.blade_and_sector_dof_of(dof)
         return f"{self.sector.structure.dof_name(sector_dof)} of blade {blade}"
 
     def with_added_load_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
@@ -245,11 +255,13 @@ class Wheel(Structure):
         result (m, structure.n_dofs) [N] has the coordinates of ``structure``, the wheel itself or a
         reduced structure.
         """
-        is_own_dof = ~self.sector.dof_numbering.belongs_to_next_sector
-        blade_dofs = np.unique(self.numbers[self.watched_sector_index, is_own_dof])
+        is_owned_by_sector = ~self.sector.dof_numbering.belongs_to_next_sector
+        blade_dofs = np.unique(
+            self.wheel_dofs_by_sector[self.watched_sector_index, is_owned_by_sector]
+        )
         loaded_dofs = blade_dofs[np.any(self.force[rows, blade_dofs], axis=0)]
-        blade_motions = structure.values_at(np.eye(structure.n_dofs), loaded_dofs.tolist())
-        return np.asarray(self.force[rows, loaded_dofs] @ blade_motions.T)
+        motions_at_loaded_dofs = structure.values_at(np.eye(structure.n_dofs), loaded_dofs.tolist())
+        return np.asarray(self.force[rows, loaded_dofs] @ motions_at_loaded_dofs.T)
 
     # --- its matrices -----------------------------------------------------------------------------
 
@@ -264,9 +276,9 @@ class Wheel(Structure):
     def stiffness(self) -> Any:
         """Stiffness matrix K (n, n) [N/m] with mistuning, made on request (collective)."""
         tuned_stiffness = sparse.kron(np.eye(self.sector.n_sectors), self.sector.stiffness)
-        stiffness_at_rest = local_rows(self.sector.stiffness_at_rest)
+        sector_stiffness_at_rest = local_rows(self.sector.stiffness_at_rest)
         return self._assemble_wheel_matrix(
-            tuned_stiffness + sparse.kron(np.diag(self.mistuning), stiffness_at_rest)
+            tuned_stiffness + sparse.kron(np.diag(self.mistuning), sector_stiffness_at_rest)
         )
 
     def _assemble_wheel_matrix(self, sector_block_matrix: sparse.spmatrix) -> Any:
@@ -275,8 +287,12 @@ class Wheel(Structure):
         ``sector_block_matrix`` (N n_sector, N n_sector) has each sector's matrix, with free sides,
         on the diagonal.
         """
-        copy_matrix = make_selection_matrix(self.numbers.ravel(), self.n_dofs)
-        wheel_matrix = sparse.csr_matrix(copy_matrix.T @ sector_block_matrix @ copy_matrix)
+        wheel_to_sector_dofs_matrix = make_selection_matrix(
+            self.wheel_dofs_by_sector.ravel(), self.n_dofs
+        )
+        wheel_matrix = sparse.csr_matrix(
+            wheel_to_sector_dofs_matrix.T @ sector_block_matrix @ wheel_to_sector_dofs_matrix
+        )
         return make_matrix_from_local_rows(wheel_matrix[: self.n_local], self.comm)
 
     @property
@@ -290,14 +306,16 @@ class Wheel(Structure):
         ``is_bonded``, otherwise open. The modes are solved in few coordinates and expanded to the
         wheel. None is never returned for a wheel.
         """
-        wheel_structure = self.structure_in_few_coordinates()
-        n_modes = wheel_structure.count_lowest_modes(self.families)
+        wheel_in_few_coordinates = self.structure_in_few_coordinates()
+        n_modes = wheel_in_few_coordinates.count_lowest_modes(self.families)
         few_coordinate_modes = solve_modes(
-            wheel_structure,
+            wheel_in_few_coordinates,
             n_modes,
-            lips="tied" if is_bonded and wheel_structure.n_pairs else "open",
+            lips="tied" if is_bonded and wheel_in_few_coordinates.n_pairs else "open",
         )
-        return few_coordinate_modes.omega, wheel_structure.expand(few_coordinate_modes.shapes.T).T
+        return few_coordinate_modes.omega, wheel_in_few_coordinates.expand(
+            few_coordinate_modes.shapes.T
+        ).T
 
     def mistuned(self, deviations: Any) -> Wheel:
         """Return this wheel with new stiffness deviations instead of the old.
@@ -313,7 +331,8 @@ class Wheel(Structure):
             The number of deviations is wrong, or a deviation is not between -1 and 1000.
         """
         return self._in_setting(
-            self.setting, mistuning=_read_deviations(deviations, self.sector.n_sectors)
+            self.load_damping_clearance_changes,
+            mistuning=_read_deviations(deviations, self.sector.n_sectors),
         )
 
     def basis(self, families: int) -> CyclicBasis:
@@ -347,7 +366,7 @@ def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
 
     Raises InputError unless a number or N numbers are given, above -1 and below 1000.
     """
-    deviations = floats_or_nan(given_deviations)
+    deviations = floats_or_single_nan(given_deviations)
     if (
         deviations.shape not in ((), (n_sectors,))
         or not np.all(deviations > -1.0)
@@ -367,13 +386,13 @@ def _make_sector_loads(sector: Sector, engine_order: int) -> np.ndarray:
     Rows are mean, then cosine and sine for harmonics 1 to K. On sector j, harmonic k leads sector 0
     by 2 pi k E j / N, with the engine order E.
     """
-    complex_load_harmonics = to_complex(sector.structure.force)
+    complex_load_of_first_sector = to_complex(sector.structure.force)
     n_phase_steps = (
-        np.multiply.outer(np.arange(len(complex_load_harmonics)), np.arange(sector.n_sectors))
+        np.multiply.outer(np.arange(len(complex_load_of_first_sector)), np.arange(sector.n_sectors))
         * engine_order
     )
-    phase_factors = np.exp(2j * np.pi * n_phase_steps / sector.n_sectors)
-    return from_complex(phase_factors[..., None] * complex_load_harmonics[:, None])
+    sector_phase_factors = np.exp(2j * np.pi * n_phase_steps / sector.n_sectors)
+    return from_complex(sector_phase_factors[..., None] * complex_load_of_first_sector[:, None])
 
 
 def _make_wheel_nodes(
@@ -396,10 +415,10 @@ def _make_wheel_nodes(
     node_numbering = SectorNumbering(
         np.arange(n_sector_nodes)[:, None], sector.side_nodes, sector.crack_face_nodes
     )
-    wheel_node_numbers, owner_positions = node_numbering.number_wheel_members(
+    wheel_node_numbers, flat_sector_member_indices = node_numbering.number_wheel_members(
         sector.n_sectors, cracked_sectors
     )
-    sector_index, sector_node_index = divmod(owner_positions[own_rows], n_sector_nodes)
+    sector_index, sector_node_index = divmod(flat_sector_member_indices[own_rows], n_sector_nodes)
     sector_rotation_matrices = np.array(
         [sector.rotation_matrix(n_sector_steps) for n_sector_steps in range(sector.n_sectors)]
     )
@@ -419,25 +438,25 @@ def _make_wheel_pairs(sector: Sector, cracked_sectors: tuple[int, ...]) -> Pairs
 
     Empty pairs without a crack or a mesh. Place names state the blade if several are cracked.
     """
-    pairs, n_cracked_sectors = sector.structure.pairs, len(cracked_sectors)
-    if not cracked_sectors or pairs.points is None or pairs.cracks is None:
+    sector_pairs, n_cracked_sectors = sector.structure.pairs, len(cracked_sectors)
+    if not cracked_sectors or sector_pairs.points is None or sector_pairs.cracks is None:
         return Pairs()
-    assert pairs.areas is not None and pairs.positions is not None
-    n_cracks_per_sector = int(pairs.cracks.max(initial=-1)) + 1
+    assert sector_pairs.areas is not None and sector_pairs.positions is not None
+    n_cracks_per_sector = int(sector_pairs.cracks.max(initial=-1)) + 1
     crack_block_indices = np.arange(n_cracked_sectors)[:, None]
     pair_index_by_place_name = {
         place_name + f" of blade {sector_index + 1}" * (n_cracked_sectors > 1): pair_index
-        + crack_block_index * len(pairs.points)
+        + crack_block_index * len(sector_pairs.points)
         for crack_block_index, sector_index in enumerate(cracked_sectors)
-        for place_name, pair_index in pairs.places.items()
+        for place_name, pair_index in sector_pairs.places.items()
     }
     points = np.concatenate(
-        [sector.turn_points(pairs.points, sector_index) for sector_index in cracked_sectors]
+        [sector.turn_points(sector_pairs.points, sector_index) for sector_index in cracked_sectors]
     )
-    crack_numbers = (pairs.cracks + n_cracks_per_sector * crack_block_indices).ravel()
+    crack_numbers = (sector_pairs.cracks + n_cracks_per_sector * crack_block_indices).ravel()
     areas, positions_along_cracks = (
         np.tile(values_of_sector_pairs, n_cracked_sectors)
-        for values_of_sector_pairs in (pairs.areas, pairs.positions)
+        for values_of_sector_pairs in (sector_pairs.areas, sector_pairs.positions)
     )
     return Pairs(points, areas, crack_numbers, positions_along_cracks, pair_index_by_place_name)
 
@@ -501,9 +520,9 @@ class WheelInFewCoordinates(Structure):
             stiffness = stiffness + np.tensordot(
                 wheel.mistuning, cyclic_basis.sector_stiffnesses, 1
             )
-        sector_loads = _make_sector_loads(wheel.sector, wheel.order)
+        sector_dof_loads = _make_sector_loads(wheel.sector, wheel.order)
         projected_force = sum(
-            sector_loads[:, sector_index] @ cyclic_basis.sector_motions(sector_index)
+            sector_dof_loads[:, sector_index] @ cyclic_basis.sector_motions(sector_index)
             for sector_index in range(wheel.sector.n_sectors)
         )
 
@@ -517,12 +536,13 @@ class WheelInFewCoordinates(Structure):
             ]
             return sparse.csr_matrix(np.hstack([np.zeros((len(mass), 0)), *crack_columns]))
 
-        tangential_gap = sector_structure.tangential if wheel.cracked else None
+        sector_tangential_gap_matrix = sector_structure.tangential if wheel.cracked else None
         wheel_body = FewCoordinatesWheelBody(
             make_matrix_from_local_rows(mass, comm), make_matrix_from_local_rows(stiffness, comm),
             assemble_gap(sector_structure.gap), projected_force, wheel.clearance,
             damping=wheel.damping,
-            tangential=None if tangential_gap is None else assemble_gap(tangential_gap),
+            tangential=None if sector_tangential_gap_matrix is None
+            else assemble_gap(sector_tangential_gap_matrix),
             nodes=wheel.nodes, pairs=wheel.pairs, comm=comm, wheel=wheel, basis=cyclic_basis,
         )  # fmt: skip
         super().__init__(wheel_body)
@@ -568,20 +588,28 @@ class WheelInFewCoordinates(Structure):
         omega, mode_shapes = self.compute_once(_solve_all_modes)
         compliance_shares = ((self.gap.T @ mode_shapes) / omega) ** 2
         compliance_shares /= compliance_shares.sum(axis=1, keepdims=True)
-        inertia_changes = compliance_shares.sum(axis=0) / omega**2
-        mode_order = n_first + np.argsort(-inertia_changes[n_first:], kind="stable")
-        reference_indices = np.sort(mode_order[n_more : n_more + N_FURTHER_REFERENCE_MODES])
-        first_indices, next_indices = np.arange(n_first), np.sort(mode_order[:n_more])
+        compliance_change_by_inertia = compliance_shares.sum(axis=0) / omega**2
+        mode_indices_by_falling_effect = n_first + np.argsort(
+            -compliance_change_by_inertia[n_first:], kind="stable"
+        )
+        reference_indices = np.sort(
+            mode_indices_by_falling_effect[n_more : n_more + N_FURTHER_REFERENCE_MODES]
+        )
+        first_indices, next_indices = (
+            np.arange(n_first),
+            np.sort(mode_indices_by_falling_effect[:n_more]),
+        )
         mode_indices = np.concatenate([first_indices, next_indices, reference_indices])
-        reference_share = (
-            inertia_changes[reference_indices].sum() / inertia_changes[mode_order[n_more:]].sum()
+        reference_share_of_neglected_effect = (
+            compliance_change_by_inertia[reference_indices].sum()
+            / compliance_change_by_inertia[mode_indices_by_falling_effect[n_more:]].sum()
         )
         ranked_structure = self._in_setting(
-            self.setting,
+            self.load_damping_clearance_changes,
             result_cache=self.body.result_cache,
             ranked_omega_and_shapes=(omega[mode_indices], mode_shapes[:, mode_indices]),
         )
-        return ranked_structure, float(reference_share)
+        return ranked_structure, float(reference_share_of_neglected_effect)
 
     @property
     def n_sectors(self) -> int:
@@ -615,7 +643,9 @@ class WheelInFewCoordinates(Structure):
         wheel_displacement = np.zeros((len(displacement), wheel.n_dofs))
         if wheel.comm.rank == 0:
             for sector_dofs, sector_displacement in zip(
-                wheel.numbers, self.iterate_sector_displacements(displacement), strict=True
+                wheel.wheel_dofs_by_sector,
+                self.iterate_sector_displacements(displacement),
+                strict=True,
             ):
                 wheel_displacement[:, sector_dofs] = sector_displacement
         return wheel_displacement[:, : wheel.n_local]
@@ -626,19 +656,19 @@ class WheelInFewCoordinates(Structure):
         ``displacement`` (m, n_dofs) are the coordinates (q, d); a dof None is the watched dof.
         """
         wheel = self.whole
-        owner_positions = wheel.places[wheel.as_dof_numbers(dofs)]
+        flat_sector_member_indices = wheel.places[wheel.as_dof_numbers(dofs)]
         dof_motions = self.basis.sector_motions(
-            *divmod(owner_positions, wheel.sector.structure.n_dofs)
+            *divmod(flat_sector_member_indices, wheel.sector.structure.n_dofs)
         )
         return np.asarray(displacement @ dof_motions.T)
 
 
 def _solve_all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     """Return all frequencies (n,) [rad/s] and mode shapes (n, n) with open cracks."""
-    stiffness_and_mass = (
+    dense_stiffness_and_mass = (
         local_rows(petsc_matrix).toarray() for petsc_matrix in (structure.stiffness, structure.mass)
     )
-    squared_omegas, mode_shapes = scipy.linalg.eigh(*stiffness_and_mass)
+    squared_omegas, mode_shapes = scipy.linalg.eigh(*dense_stiffness_and_mass)
     return np.sqrt(np.maximum(squared_omegas, 0.0)), mode_shapes
 
 
@@ -647,10 +677,14 @@ def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
 
     The bonded modes are combinations of the open modes, with all gaps zero.
     """
-    omega, mode_shapes = structure.compute_once(_solve_all_modes)
-    bonded_space = scipy.linalg.null_space(structure.gap.T @ mode_shapes)
-    squared_omegas, eigenvectors = scipy.linalg.eigh((bonded_space.T * omega**2) @ bonded_space)
-    return np.sqrt(np.maximum(squared_omegas, 0.0)), mode_shapes @ (bonded_space @ eigenvectors)
+    open_crack_omega, open_crack_mode_shapes = structure.compute_once(_solve_all_modes)
+    bonded_space = scipy.linalg.null_space(structure.gap.T @ open_crack_mode_shapes)
+    squared_omegas, eigenvectors = scipy.linalg.eigh(
+        (bonded_space.T * open_crack_omega**2) @ bonded_space
+    )
+    return np.sqrt(np.maximum(squared_omegas, 0.0)), open_crack_mode_shapes @ (
+        bonded_space @ eigenvectors
+    )
 
 
 def count_basis_families(families: int, n_more: int = 0) -> int:
@@ -723,23 +757,26 @@ def reduce_wheel(
     max_allowed_more_modes = (count_basis_families(families) - families) * wheel.sector.n_sectors
     if more > max_allowed_more_modes:
         raise InputError("more", more, f"at most {max_allowed_more_modes}, four for each sector")
-    wheel_structure = WheelInFewCoordinates(
-        wheel._in_setting(DEFAULT_SETTING), count_basis_families(families, more)
+    wheel_in_few_coordinates = WheelInFewCoordinates(
+        wheel._in_setting(SETTING_WITHOUT_CHANGES), count_basis_families(families, more)
     )
     begin_stage("reduction")
-    n_modes = wheel_structure.count_lowest_modes(families)
-    if not wheel_structure.n_pairs:
+    n_modes = wheel_in_few_coordinates.count_lowest_modes(families)
+    if not wheel_in_few_coordinates.n_pairs:
         return reduce_structure(
-            wheel_structure, modes=n_modes + more, reference=reference
-        )._in_setting(wheel.setting)
-    wheel_structure, reference_share = wheel_structure.with_ranked_modes_and_share(n_modes, more)
+            wheel_in_few_coordinates, modes=n_modes + more, reference=reference
+        )._in_setting(wheel.load_damping_clearance_changes)
+    wheel_in_few_coordinates, reference_share_of_neglected_effect = (
+        wheel_in_few_coordinates.with_ranked_modes_and_share(n_modes, more)
+    )
     n_modes += more
     n_reference_modes = reference and min(
-        n_modes + N_FURTHER_REFERENCE_MODES, wheel_structure.n_dofs
+        n_modes + N_FURTHER_REFERENCE_MODES, wheel_in_few_coordinates.n_dofs
     )
     reduced_structure = reduce_structure(
-        wheel_structure, modes=n_modes, method="massless", reference=n_reference_modes
+        wheel_in_few_coordinates, modes=n_modes, method="massless", reference=n_reference_modes
     )
     return reduced_structure._in_setting(
-        wheel.setting, error_share_removed_by_larger_reduction=reference_share
+        wheel.load_damping_clearance_changes,
+        error_share_removed_by_larger_reduction=reference_share_of_neglected_effect,
     )

@@ -121,7 +121,7 @@ class _ColourScale:
 
     def __init__(self, fields: PeriodFields) -> None:
         field_name, unit = fields.colour_field_name_and_unit
-        scale_end, largest_colour_value = fields.colour_scale_end, fields.colour_values.max()
+        scale_end, largest_field_value = fields.colour_scale_end, fields.colour_values.max()
         self.unit_factor, unit = choose_factor_and_prefixed_unit(scale_end, unit)
         self.label = f"{field_name} [{unit}]"
         self.level_borders = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(
@@ -129,7 +129,7 @@ class _ColourScale:
         )
         self.n_colour_steps = len(self.level_borders) - 1
         self.has_values_beyond_levels = bool(
-            self.unit_factor * largest_colour_value > self.level_borders[-1]
+            self.unit_factor * largest_field_value > self.level_borders[-1]
         )
         self.colour_map = ListedColormap(
             colormaps["viridis"](np.linspace(0.0, 1.0, self.n_colour_steps))
@@ -158,7 +158,9 @@ class _MovingMesh:
         mesh = fields.mesh
         self.line_height_above_plate = 1e-3 * mesh.size
         is_solid = mesh.dimension == 3
-        boundary_edges = vtk.find_sharp_edge_nodes(mesh) if is_solid else mesh.boundary_sides
+        boundary_edges = (
+            vtk.find_node_pairs_of_sharp_edges(mesh) if is_solid else mesh.boundary_sides
+        )
         self._draw_edges(boundary_edges, "rest", 2)
         self.surface = vtk.make_surface(
             mesh.points, mesh.boundary_sides if is_solid else mesh.triangles
@@ -253,16 +255,16 @@ class _MovingMesh:
         self.contact_dots.verts = np.insert(
             np.argwhere(fields.contact_forces[frame_index] > 0.0), 0, 1, axis=1
         ).ravel()
-        arrow_start, arrow_vector = (
-            vtk.pad_to_space(vectors_by_frame[frame_index][None])[0]
-            for vectors_by_frame in (self.arrow_starts, self.arrow_vectors)
+        arrow_start, load_arrow_vector = (
+            vtk.pad_to_space(arrow_starts_or_vectors[frame_index][None])[0]
+            for arrow_starts_or_vectors in (self.arrow_starts, self.arrow_vectors)
         )
-        _, arrow_length, arrow_axes = np.linalg.svd(arrow_vector[None])
-        arrow_axes[0] *= np.sign(arrow_axes[0] @ arrow_vector)
+        _, arrow_length, arrow_basis_vectors = np.linalg.svd(load_arrow_vector[None])
+        arrow_basis_vectors[0] *= np.sign(arrow_basis_vectors[0] @ load_arrow_vector)
         self.load_arrow.points = (
             arrow_start
             + self.dot_offset_vector
-            + arrow_length * (self.unit_arrow_points @ arrow_axes)
+            + arrow_length * (self.unit_arrow_points @ arrow_basis_vectors)
         )
 
 
@@ -274,12 +276,12 @@ def _find_arrow_starts_and_vectors(fields: PeriodFields) -> tuple[np.ndarray, np
     arrays are zero if the total load is zero.
     """
     total_loads = fields.nodal_loads.sum(axis=1)
-    node_load_weights = np.abs(fields.nodal_loads).sum(axis=(0, 2))
+    arrow_start_node_weights = np.abs(fields.nodal_loads).sum(axis=(0, 2))
     largest_total_load = np.linalg.norm(total_loads, axis=1).max()
     if largest_total_load == 0.0:
         return np.zeros_like(total_loads), np.zeros_like(total_loads)
     return (
-        node_load_weights @ fields.magnified_points / node_load_weights.sum(),
+        arrow_start_node_weights @ fields.magnified_points / arrow_start_node_weights.sum(),
         fields.mesh.size / 8.0 * total_loads / largest_total_load,
     )
 
@@ -290,21 +292,28 @@ def _find_arrow_starts_and_vectors(fields: PeriodFields) -> tuple[np.ndarray, np
 def _write_gif(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
     """Draw all frames and write them as a GIF of about 3 s, repeated without end."""
     colour_scale = _ColourScale(fields)
-    page = _AnimationPage(solution, fields, colour_scale)
-    width, height = page.plate_size
-    plotter = vtk.off_screen_plotter((2 * width, 2 * height))  # smooth after halving
+    frame_layout = _GifFrameLayout(solution, fields, colour_scale)
+    plate_image_width, plate_image_height = frame_layout.plate_size
+    plotter = vtk.off_screen_plotter(
+        (2 * plate_image_width, 2 * plate_image_height)
+    )  # smooth after halving
     plotter.render_window.SetMultiSamples(0)  # multisampling is three times slower
     moving_mesh = _MovingMesh(plotter, fields, colour_scale)
-    plate_width_fraction = _fit_camera_and_find_width_ratio(plotter, fields) * height / width
-    plotter.window_size = min(2 * width, int(2 * (plate_width_fraction * width + 20))), 2 * height
+    plate_width_fraction = (
+        _fit_camera_and_find_width_ratio(plotter, fields) * plate_image_height / plate_image_width
+    )
+    plotter.window_size = (
+        min(2 * plate_image_width, int(2 * (plate_width_fraction * plate_image_width + 20))),
+        2 * plate_image_height,
+    )
     frame_images = [
-        page.compose_frame_image(frame_index, moving_mesh.render_frame_image(frame_index))
+        frame_layout.compose_frame_image(frame_index, moving_mesh.render_frame_image(frame_index))
         for frame_index in range(len(fields.time))
     ]
     plotter.close()
-    palette = _make_palette(colour_scale)
+    palette_image = _make_palette_image(colour_scale)
     quantized_frame_images = [
-        frame_image.quantize(palette=palette, dither=Image.Dither.NONE)
+        frame_image.quantize(palette=palette_image, dither=Image.Dither.NONE)
         for frame_image in frame_images
     ]
     gif_stream = BytesIO()
@@ -316,12 +325,12 @@ def _write_gif(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> 
         append_images=quantized_frame_images[1:],
         duration=max(20, 10 * round(300.0 / len(frame_images))),  # in steps of 10 ms, 3 s in all
         loop=0,
-        comment=page.caption_without_phase.encode("latin-1"),
+        comment=frame_layout.caption_without_phase.encode("latin-1"),
     )
     write_file_whole(path, gif_stream.getvalue())
 
 
-def _make_palette(colour_scale: _ColourScale) -> Image.Image:
+def _make_palette_image(colour_scale: _ColourScale) -> Image.Image:
     """Return a palette image with at most 256 colours, for all frames of the GIF.
 
     The colours are greys, the drawn colours, and blends of these with black and white.
@@ -330,16 +339,16 @@ def _make_palette(colour_scale: _ColourScale) -> Image.Image:
     colour_array = to_rgba_array(
         [*part_colours, CONTACT_BACKGROUND_COLOUR, *colour_scale.colour_map.colors]
     )[:, :3]
-    blended_colour_arrays = [
+    black_and_white_blends = [
         colour_weight * colour_array + (1.0 - colour_weight) * blend_grey_level
         for colour_weight in (0.75, 0.5, 0.25)
         for blend_grey_level in (0.0, 1.0)
     ]
     greys = np.repeat(np.linspace(0.0, 1.0, 17)[:, None], 3, axis=1)
-    palette_colours = np.concatenate([greys, colour_array, *blended_colour_arrays])[:256]
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(np.round(255.0 * palette_colours).astype(np.uint8).tobytes())
-    return palette
+    palette_colours = np.concatenate([greys, colour_array, *black_and_white_blends])[:256]
+    palette_image = Image.new("P", (1, 1))
+    palette_image.putpalette(np.round(255.0 * palette_colours).astype(np.uint8).tobytes())
+    return palette_image
 
 
 def _fit_camera_and_find_width_ratio(plotter: Any, fields: PeriodFields) -> float:
@@ -389,7 +398,7 @@ def _draw_colour_bar(figure: Figure, colour_scale: _ColourScale) -> None:
     colour_bar.ax.tick_params(labelsize=11)
 
 
-class _AnimationPage:
+class _GifFrameLayout:
     """Page of an animation: caption, legend, colour bar, and a curve with a moving dot.
 
     Attributes
@@ -412,14 +421,14 @@ class _AnimationPage:
         self.frame_times_in_load_periods = fields.time * solution.omega / (2.0 * np.pi)
         self.plate_size, self.plate_corner = (532, 444), (6, 92)
         self.figure = Figure(figsize=(6.4, 7.4), dpi=100, facecolor="white")
-        self.canvas = FigureCanvasAgg(self.figure)
+        self.agg_canvas = FigureCanvasAgg(self.figure)
         title = "Breathing crack" if fields.has_cracks else "Vibrating structure"
         self.figure.text(0.5, 0.968, title, fontsize=16, weight="bold", ha="center", va="center")
-        motion_noun = "load" if fields.has_load_arrow else "motion"
+        load_or_motion_word = "load" if fields.has_load_arrow else "motion"
         frequency_text = f"{solution.omega:.5g} rad/s ({solution.omega / (2.0 * np.pi):.4g} Hz)"
         magnification_text = f"{float(f'{fields.magnification:.3g}'):.10g}"
         self.caption_without_phase = (
-            f"{motion_noun} at {frequency_text}, displacement × {magnification_text}"
+            f"{load_or_motion_word} at {frequency_text}, displacement × {magnification_text}"
         )
         self.caption_artist = self.figure.text(
             0.06, 0.932, "", va="center", fontsize=12, animated=True
@@ -427,8 +436,8 @@ class _AnimationPage:
         _draw_colour_bar(self.figure, colour_scale)
         self._draw_legend(fields)
         self._draw_displacement_curve(solution, fields)
-        self.canvas.draw()
-        self.background_pixels = self.canvas.copy_from_bbox(self.figure.bbox)
+        self.agg_canvas.draw()
+        self.background_pixels = self.agg_canvas.copy_from_bbox(self.figure.bbox)
 
     def compose_frame_image(self, frame_index: int, plate_image: Image.Image) -> Image.Image:
         """Return the image for a frame: page and structure.
@@ -441,20 +450,21 @@ class _AnimationPage:
             Structure's image from ``_MovingMesh.render_frame_image``, which is pasted in half its
             size.
         """
-        self.canvas.restore_region(self.background_pixels)
-        load_periods = self.frame_times_in_load_periods[frame_index]
-        self.wave_dot.set_data([load_periods], [self.frame_values[frame_index]])
-        self.time_line.set_xdata([load_periods, load_periods])
+        self.agg_canvas.restore_region(self.background_pixels)
+        frame_time_in_load_periods = self.frame_times_in_load_periods[frame_index]
+        self.wave_dot.set_data([frame_time_in_load_periods], [self.frame_values[frame_index]])
+        self.time_line.set_xdata([frame_time_in_load_periods, frame_time_in_load_periods])
         self.caption_artist.set_text(
-            f"{self.caption_without_phase}, phase {360.0 * load_periods:.0f}°"
+            f"{self.caption_without_phase}, phase {360.0 * frame_time_in_load_periods:.0f}°"
         )
         for artist in (self.time_line, self.wave_dot, self.caption_artist):
             self.figure.draw_artist(artist)
-        page_image = copy_canvas_image(self.canvas)
+        page_image = copy_canvas_image(self.agg_canvas)
         plate_image = plate_image.reduce(2)
-        left_pixel, top_pixel = self.plate_corner
+        plate_left_pixel, plate_top_pixel = self.plate_corner
         page_image.paste(
-            plate_image, (left_pixel + (self.plate_size[0] - plate_image.width) // 2, top_pixel)
+            plate_image,
+            (plate_left_pixel + (self.plate_size[0] - plate_image.width) // 2, plate_top_pixel),
         )
         return page_image
 
@@ -498,10 +508,16 @@ class _AnimationPage:
         """
         axes = self.figure.add_axes((0.16, 0.085, 0.81, 0.16))
         time = np.linspace(0.0, solution.period, 401)
-        load_periods, is_closed = time * solution.omega / (2.0 * np.pi), np.zeros(len(time), bool)
+        times_in_load_periods, is_closed = (
+            time * solution.omega / (2.0 * np.pi),
+            np.zeros(len(time), bool),
+        )
         if len(fields.pair_areas):
-            gaps, watched_pairs = solution.gap(time), solution.structure.watched_pairs.values()
-            pair_index = max(watched_pairs, key=lambda pair: float(np.ptp(gaps[:, pair])))
+            gaps, watched_pair_indices = (
+                solution.gap(time),
+                solution.structure.watched_pairs.values(),
+            )
+            pair_index = max(watched_pair_indices, key=lambda pair: float(np.ptp(gaps[:, pair])))
             quantity = f"opening {solution.structure.describe_pair(pair_index)}"
             curve_values = -gaps[:, pair_index]
             self.frame_values = -solution.gap(fields.time)[:, pair_index]
@@ -513,13 +529,15 @@ class _AnimationPage:
             self.frame_values = np.linalg.norm(fields.displacement, axis=2).max(axis=1)
             quantity = "largest displacement"
             curve_values = np.interp(
-                load_periods,
+                times_in_load_periods,
                 self.frame_times_in_load_periods,
                 self.frame_values,
-                period=load_periods[-1],
+                period=times_in_load_periods[-1],
             )
         axes.axhline(0.0, color=CURVE_COLOUR_CODE_BY_NAME["grey"], lw=0.8)
-        axes.plot(load_periods, curve_values, color=CURVE_COLOUR_CODE_BY_NAME["blue"], lw=2)
+        axes.plot(
+            times_in_load_periods, curve_values, color=CURVE_COLOUR_CODE_BY_NAME["blue"], lw=2
+        )
         self.time_line = axes.axvline(
             0.0, color=CURVE_COLOUR_CODE_BY_NAME["grey"], lw=1, animated=True
         )
@@ -527,7 +545,7 @@ class _AnimationPage:
             [0.0], [0.0], "o", color="black", ms=8, clip_on=False, animated=True
         )
         axes.margins(y=0.12)
-        axes.set(xlim=(0.0, load_periods[-1]), ylim=axes.get_ylim())
+        axes.set(xlim=(0.0, times_in_load_periods[-1]), ylim=axes.get_ylim())
         axes.set_xlabel("time / load period", fontsize=12)
         label_axis(axes.yaxis, quantity, "m")
         axes.yaxis.label.set(size=11, text=fill(axes.yaxis.label.get_text(), 17))
@@ -535,7 +553,7 @@ class _AnimationPage:
         axes.tick_params(labelsize=11)
         # Draw the bands after label_axis, which would count them as data of the axis.
         axes.fill_between(
-            load_periods,
+            times_in_load_periods,
             0.0,
             1.0,
             where=is_closed,

@@ -29,7 +29,7 @@ from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.suggestions import check_options, fit_argument_to_annotation
+from fenics_crack.basics.suggestions import check_argument_class_or_unwrap_run, check_options
 from fenics_crack.basics.tables import (
     UNITS_WITHOUT_PREFIX,
     choose_factor_and_prefixed_unit,
@@ -48,7 +48,7 @@ FIGURE_STYLE = rc_params_from_file(
     Path(__file__).with_name("fenics_crack.mplstyle"), use_default_template=False
 )
 """Matplotlib's settings (rcParams) for new figures, legends and files."""
-MAX_LETTERS_PER_LINE = 42
+MAX_LETTERS_PER_LABEL_LINE = 42
 """Maximum number of letters in a line of a vertical axis's label, or of a narrow legend."""
 FIRST_IN_LEGEND_GID = "first in the legend"
 """Matplotlib's ``gid`` for lines whose entries come first in a legend."""
@@ -122,7 +122,7 @@ class Picture:
             PictureOptions.__annotations__,
         )
         path, axes = picture_options.get("path"), read_axes_option(picture_options)
-        fit_argument_to_annotation("path", path, "str | Path | None", ())
+        check_argument_class_or_unwrap_run("path", path, "str | Path | None", ())
         self._path, self._title, self._comm = path, picture_options.get("title"), comm
         self.has_legend = picture_options.get("legend", True)
         if axes is None:
@@ -138,10 +138,10 @@ class Picture:
             raise InputError(
                 "path", str(path), "left out with axes; save the returned figure by savefig(path)"
             )
-        file_kinds = sorted(FigureCanvasAgg.get_supported_filetypes())
-        if path is not None and Path(path).suffix[1:].lower() not in ["", *file_kinds]:
+        supported_file_types = sorted(FigureCanvasAgg.get_supported_filetypes())
+        if path is not None and Path(path).suffix[1:].lower() not in ["", *supported_file_types]:
             raise InputError(
-                "path", str(path), f"a file name that ends in .{', .'.join(file_kinds)}"
+                "path", str(path), f"a file name that ends in .{', .'.join(supported_file_types)}"
             )
         self.panels: list[Axes] = list(np.atleast_1d(axes).ravel())
         if len(self.panels) != n_panels:
@@ -153,7 +153,7 @@ class Picture:
     def __iter__(self) -> Iterator[Axes]:
         return iter(self.panels)
 
-    def finish(self) -> Figure:
+    def draw_legends_and_save(self) -> Figure:
         """Draw grids and legends, set the title, save the figure (collective).
 
         The figure is saved only if the options have a path. Return the figure.
@@ -248,7 +248,7 @@ def wrap_upright_label(label: str) -> str:
 
     A label with line breaks stays unchanged.
     """
-    return label if "\n" in label else fill(label, MAX_LETTERS_PER_LINE)
+    return label if "\n" in label else fill(label, MAX_LETTERS_PER_LABEL_LINE)
 
 
 def label_axis(axis: Axis, quantity: str, unit: str) -> None:
@@ -286,14 +286,14 @@ def label_count_axis(axis: Axis, plural_noun: str) -> None:
 
     Call this after all lines are drawn, since the largest count chooses the power.
     """
-    power_factor, _ = choose_factor_and_prefixed_unit(float(axis.get_data_interval()[1]), "")
+    count_scale_factor, _ = choose_factor_and_prefixed_unit(float(axis.get_data_interval()[1]), "")
     axis.set_label_text(
         plural_noun
-        if power_factor == 1.0
-        else f"{_format_power_of_ten(1.0 / power_factor)} {plural_noun}"
+        if count_scale_factor == 1.0
+        else f"{_format_power_of_ten(1.0 / count_scale_factor)} {plural_noun}"
     )
     axis.set_major_formatter(
-        FuncFormatter(lambda value, _: _format_number(round(power_factor * value, 12)))
+        FuncFormatter(lambda value, _: _format_number(round(count_scale_factor * value, 12)))
     )
 
 
@@ -346,7 +346,7 @@ def _draw_legend(axes: Axes) -> None:
             0.9 * axes.figure.bbox.width if is_only_panel else axes.get_window_extent().width
         )
         n_letters_across = 17.0 * available_width / axes.figure.dpi
-        allowed_letters_per_line = max(int(n_letters_across) - 8, MAX_LETTERS_PER_LINE)
+        allowed_letters_per_line = max(int(n_letters_across) - 8, MAX_LETTERS_PER_LABEL_LINE)
         label_lines = [
             [
                 wrapped_line
@@ -364,12 +364,17 @@ def _draw_legend(axes: Axes) -> None:
         )
         n_labels_per_column = -(-len(handles_by_label) // n_columns)
         previous_legend = axes.get_legend()
-        column_starts = range(0, len(label_lines), n_labels_per_column)
+        first_label_indices_of_columns = range(0, len(label_lines), n_labels_per_column)
         n_text_rows = max(
             2,
             *(
-                sum(map(len, label_lines[start : start + n_labels_per_column]))
-                for start in column_starts
+                sum(
+                    map(
+                        len,
+                        label_lines[first_label_index : first_label_index + n_labels_per_column],
+                    )
+                )
+                for first_label_index in first_label_indices_of_columns
             ),
         )
         # A figure has room for two rows.

@@ -133,7 +133,7 @@ def draw_waves(
     else:
         label_axis(panel.xaxis, "time", "s")
     label_axis(panel.yaxis, quantity, "m")
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def draw_laws(
@@ -161,13 +161,15 @@ def draw_laws(
     >>> figure = fc.draw_laws({"penalty": contact}, closing, path="laws.png")
     """
     [panel] = picture = Picture(**picture_options)
-    line_styles = zip(distinct_colours(len(laws)), cycle(("-", "--", ":", "-.", "-")), strict=False)
-    for (label, law), (colour, style) in zip(laws.items(), line_styles, strict=True):
+    colours_and_line_styles = zip(
+        distinct_colours(len(laws)), cycle(("-", "--", ":", "-.", "-")), strict=False
+    )
+    for (label, law), (colour, style) in zip(laws.items(), colours_and_line_styles, strict=True):
         contact_force = law.force(closing[:, None])[:, 0]
         panel.plot(closing, contact_force, style, color=colour, label=label, lw=1.8)
     label_axis(panel.xaxis, "closing g (penetration where g > 0)", "m")
     label_axis(panel.yaxis, "contact force", "N")
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def draw_contact_map(
@@ -223,12 +225,12 @@ def draw_contact_map(
         values_by_label["share of the period closed"] = (contact_values[:-1] > 0.0).mean(axis=0)
         return _draw_crack_surfaces(structure, values_by_label, picture_options)
     pair_distances, crack_borders = _stack_crack_distances_and_borders(structure.pairs)
-    load_periods = time * solution.omega / (2.0 * np.pi)
+    times_in_load_periods = time * solution.omega / (2.0 * np.pi)
     [panel] = picture = Picture(**picture_options)
     contact_cells = np.ma.masked_less_equal(unit_factor * contact_values.T, 0.0)
     label = f"{label} [{unit}] (grey: open)"
     _draw_coloured_cells(
-        panel, load_periods, pair_distances, contact_cells, label, OPEN_CRACK_COLOUR
+        panel, times_in_load_periods, pair_distances, contact_cells, label, OPEN_CRACK_COLOUR
     )
     panel.set_ylim(bottom=0.0)
     panel.set_xlabel("time / load period")
@@ -271,21 +273,24 @@ def _draw_crack_surfaces(
     triangle_crack_indices = pair_crack_indices[
         pair_tree.query(mesh.points[triangles].mean(axis=1))[1]
     ]
-    crack_indices = np.unique(pair_crack_indices)
+    distinct_crack_indices = np.unique(pair_crack_indices)
     picture = Picture(
-        2 * len(crack_indices), n_columns=2, size=(9.0, 3.4 * len(crack_indices)), **picture_options
+        2 * len(distinct_crack_indices),
+        n_columns=2,
+        size=(9.0, 3.4 * len(distinct_crack_indices)),
+        **picture_options,
     )
     for panel, (crack_index, label) in zip(
-        picture, product(crack_indices, values_by_label), strict=True
+        picture, product(distinct_crack_indices, values_by_label), strict=True
     ):
-        nodes, corner_node_indices = np.unique(
+        nodes, corner_rows_in_nodes = np.unique(
             triangles[triangle_crack_indices == crack_index], return_inverse=True
         )
-        nodal_values = mesh.pair_centre_and_pressure_matrices[1][nodes] @ values_by_label[label]
+        nodal_values = mesh.pair_centres_and_pressures_at_nodes[1][nodes] @ values_by_label[label]
         _draw_crack_surface(
-            panel, mesh.points[nodes], corner_node_indices.reshape(-1, 3), nodal_values, label
+            panel, mesh.points[nodes], corner_rows_in_nodes.reshape(-1, 3), nodal_values, label
         )
-        if len(crack_indices) > 1:
+        if len(distinct_crack_indices) > 1:
             panel.set_title(f"crack {crack_index + 1}", fontsize="medium")
     return picture.save_with_title()
 
@@ -310,7 +315,9 @@ def _draw_crack_surface(
     """
     normal_axis_index = int(np.argmin(np.ptp(points, axis=0)))
     horizontal_axis_index, vertical_axis_index = (
-        axis_index for axis_index in range(3) if axis_index != normal_axis_index
+        coordinate_axis_index
+        for coordinate_axis_index in range(3)
+        if coordinate_axis_index != normal_axis_index
     )
     unit_factor, unit = choose_factor_and_prefixed_unit(
         float(np.abs(points[:, [horizontal_axis_index, vertical_axis_index]]).max()), "m"
@@ -409,17 +416,24 @@ def draw_response(
     finite_values = np.concatenate(
         [curve_values[np.isfinite(curve_values)] for curve_values in curves.values()]
     )
-    minimum, maximum = finite_values.min(initial=np.inf), finite_values.max(initial=-np.inf)
-    if 0.0 < minimum < np.inf and (unit == "m" or 10.0 * minimum <= maximum):
+    smallest_finite_value, largest_finite_value = (
+        finite_values.min(initial=np.inf),
+        finite_values.max(initial=-np.inf),
+    )
+    if 0.0 < smallest_finite_value < np.inf and (
+        unit == "m" or 10.0 * smallest_finite_value <= largest_finite_value
+    ):
         panel.set_yscale("log")
     n_present_lines = sum(line.get_linestyle() != "None" for line in panel.lines)
-    line_styles = islice(
+    line_styles_and_colours = islice(
         cycle(product((".-", ".--", ".:"), CURVE_COLOUR_CODE_BY_NAME.values())),
         n_present_lines,
         None,
     )
     dot_size = 4.0 if len(values) <= 60 else 0.0  # more dots would touch
-    for (label, curve_values), (style, colour) in zip(curves.items(), line_styles, strict=False):
+    for (label, curve_values), (style, colour) in zip(
+        curves.items(), line_styles_and_colours, strict=False
+    ):
         panel.plot(values, curve_values, style, color=colour, label=label, lw=1.4, ms=dot_size)
     is_doubtful_by_label = {
         label: np.asarray(is_doubtful, bool) for label, is_doubtful in (doubtful or {}).items()
@@ -441,7 +455,7 @@ def draw_response(
         )
     panel.set_xlabel(over)
     label_axis(panel.yaxis, quantity, unit)
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def draw_map(
@@ -501,8 +515,10 @@ def draw_map(
         )
     if not cell_values.count():
         raise InputError("values", "nan", "an array with at least one finite number")
-    minimum, maximum = float(cell_values.min()), float(cell_values.max())
-    colour_norm = (LogNorm if 0.0 < 30.0 * minimum <= maximum else Normalize)(minimum, maximum)
+    smallest_cell_value, largest_cell_value = float(cell_values.min()), float(cell_values.max())
+    colour_norm = (
+        LogNorm if 0.0 < 30.0 * smallest_cell_value <= largest_cell_value else Normalize
+    )(smallest_cell_value, largest_cell_value)
     is_doubtful = (
         np.zeros(cell_values.shape, bool) if doubtful is None else np.asarray(doubtful, bool)
     )
@@ -514,7 +530,10 @@ def draw_map(
     _draw_coloured_cells(panel, x, y, cell_values, value_label, NO_VALUE_COLOUR, norm=colour_norm)
     is_missing = np.ma.getmaskarray(cell_values)
     panel.plot(
-        *(cell_coordinates.ravel()[is_missing.ravel()] for cell_coordinates in np.meshgrid(x, y)),
+        *(
+            cell_centre_coordinates.ravel()[is_missing.ravel()]
+            for cell_centre_coordinates in np.meshgrid(x, y)
+        ),
         "x",
         color="white",
         ms=5,
@@ -523,13 +542,17 @@ def draw_map(
         [Patch(facecolor=NO_VALUE_COLOUR, label="not converged")] if is_missing.any() else []
     )
     if np.any(is_doubtful & ~is_missing):
-        hatch_options = {"edgecolor": DOUBTFUL_HATCH_COLOUR, "hatch": "/////", "linewidth": 0.0}
+        doubtful_hatch_options = {
+            "edgecolor": DOUBTFUL_HATCH_COLOUR,
+            "hatch": "/////",
+            "linewidth": 0.0,
+        }
         doubtful_values = np.ma.masked_where(~is_doubtful, cell_values)
         panel.pcolor(x, y, doubtful_values, shading="nearest").set(
-            facecolor="none", **hatch_options
+            facecolor="none", **doubtful_hatch_options
         )
         legend_patches.append(
-            Patch(label=DOUBTFUL_POINTS_LABEL, facecolor="#3b528b", **hatch_options)
+            Patch(label=DOUBTFUL_POINTS_LABEL, facecolor="#3b528b", **doubtful_hatch_options)
         )
     panel.set(xlabel=x_label, ylabel=y_label)
     if legend_patches and picture.has_legend:
@@ -601,17 +624,17 @@ def draw_spectrum(
     --------
     >>> figure = fc.draw_spectrum(solution, tip, path="spectrum.png")
     """
-    displacements_by_label = {}
+    displacement_coefficients_by_label = {}
     if solution.structure.n_pairs:
         instants = np.linspace(0.0, solution.period, 257)
         pair_index = int(np.argmax(np.ptp(solution.gap(instants), axis=0)))
-        displacements_by_label[f"gap {solution.structure.describe_pair(pair_index)}"] = (
-            solution.gap_coefficients[:, pair_index]
-        )
+        displacement_coefficients_by_label[
+            f"gap {solution.structure.describe_pair(pair_index)}"
+        ] = solution.gap_coefficients[:, pair_index]
     if dof is not None:
         dof_coefficients = solution.coefficients_at([dof])[:, 0]
-        displacements_by_label[solution.structure.dof_name(dof)] = dof_coefficients
-    if not displacements_by_label:
+        displacement_coefficients_by_label[solution.structure.dof_name(dof)] = dof_coefficients
+    if not displacement_coefficients_by_label:
         raise InputError("dof", None, "given: a dof's number, as there is no contact pair")
     force_coefficients = solution.force_coefficients.sum(axis=1)
     axes = read_axes_option(picture_options)
@@ -624,13 +647,13 @@ def draw_spectrum(
         **picture_options,
     )
     panel_contents = (
-        (displacements_by_label, "displacement", "m"),
+        (displacement_coefficients_by_label, "displacement", "m"),
         ({"contact force, all pairs": force_coefficients}, "contact force", "N"),
     )
     for panel, panel_content in zip(picture, panel_contents, strict=False):
         _draw_stems(panel, solution.subharmonic, *panel_content)
     picture.panels[-1].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def _draw_stems(
@@ -661,32 +684,32 @@ def _draw_stems(
         label: np.abs(to_complex(column)) for label, column in coefficients_by_label.items()
     }
     amplitudes = np.array([*amplitudes_by_label.values()])
-    largest_amplitude, max_order = float(amplitudes.max()) or 1.0, amplitudes.shape[1] - 1
+    largest_amplitude, max_harmonic = float(amplitudes.max()) or 1.0, amplitudes.shape[1] - 1
     is_significant = amplitudes > 1e-9 * largest_amplitude  # others are rounding
     smallest_amplitude = np.min(amplitudes, where=is_significant, initial=0.1 * largest_amplitude)
     axis_bottom = 10.0 ** np.floor(np.log10(0.5 * smallest_amplitude))
-    marker_size = 4.5 if max_order < 25 else 3.0 if max_order <= 150 else 1.5
+    marker_size = 4.5 if max_harmonic < 25 else 3.0 if max_harmonic <= 150 else 1.5
     series_styles = zip(
         amplitudes_by_label.items(), distinct_colours(len(amplitudes_by_label)), "os", strict=False
     )
     for series_index, ((label, series_amplitudes), colour, marker) in enumerate(series_styles):
-        kept_orders = np.flatnonzero(series_amplitudes >= axis_bottom)
+        kept_harmonics = np.flatnonzero(series_amplitudes >= axis_bottom)
         stem_positions = (
-            kept_orders + 0.25 * (series_index - 0.5 * (len(amplitudes_by_label) - 1))
+            kept_harmonics + 0.25 * (series_index - 0.5 * (len(amplitudes_by_label) - 1))
         ) / n_load_periods
         if marker_size > 1.5:
             axes.vlines(
-                stem_positions, axis_bottom, series_amplitudes[kept_orders], color=colour, lw=1.2
+                stem_positions, axis_bottom, series_amplitudes[kept_harmonics], color=colour, lw=1.2
             )
         axes.plot(
             stem_positions,
-            series_amplitudes[kept_orders],
+            series_amplitudes[kept_harmonics],
             marker,
             color=colour,
             ms=marker_size,
             label=label,
         )
-    axes.set_xlim(-0.5, max_order / n_load_periods + 0.5)
+    axes.set_xlim(-0.5, max_harmonic / n_load_periods + 0.5)
     axes.set_yscale("log")
     axes.set_ylim(axis_bottom, largest_amplitude * (largest_amplitude / axis_bottom) ** 0.08)
     axes.xaxis.get_major_locator().set_params(integer=True)
@@ -734,10 +757,10 @@ def draw_orbits(
     """
     times = np.linspace(0.0, solution.period, instants + 1)
     is_closed = solution.contact_force(times) > 0.0
-    orbit_contents: list[tuple[DisplacementFunction, np.ndarray, str, str]] = []
+    arguments_of_each_orbit: list[tuple[DisplacementFunction, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
         pair_index = solution.structure.first_watched_pair
-        orbit_contents.append(
+        arguments_of_each_orbit.append(
             (
                 lambda t: solution.gap(t)[:, pair_index],
                 is_closed[:, pair_index],
@@ -746,7 +769,7 @@ def draw_orbits(
             )
         )
     if dof is not None:
-        orbit_contents.append(
+        arguments_of_each_orbit.append(
             (
                 partial(solution.displacement, dofs=[dof]),
                 np.any(is_closed, axis=1),
@@ -754,9 +777,9 @@ def draw_orbits(
                 "crack faces touch somewhere",
             )
         )
-    if not orbit_contents:
+    if not arguments_of_each_orbit:
         raise InputError("dof", None, "given: a dof's number, as there is no contact pair")
-    n_panels = len(orbit_contents)
+    n_panels = len(arguments_of_each_orbit)
     picture = Picture(
         n_panels,
         n_columns=n_panels,
@@ -764,9 +787,9 @@ def draw_orbits(
         comm=solution.structure.comm,
         **picture_options,
     )
-    for panel, orbit_content in zip(picture, orbit_contents, strict=True):
-        _draw_orbit(panel, solution, *orbit_content)
-    return picture.finish()
+    for panel, orbit_arguments in zip(picture, arguments_of_each_orbit, strict=True):
+        _draw_orbit(panel, solution, *orbit_arguments)
+    return picture.draw_legends_and_save()
 
 
 DisplacementFunction = Callable[[np.ndarray], np.ndarray]
@@ -800,15 +823,18 @@ def _draw_orbit(
     closed_label : str
         Legend entry for the thick part.
     """
-    time_step = CENTRAL_DIFFERENCE_STEP * solution.period
+    central_difference_time_step = CENTRAL_DIFFERENCE_STEP * solution.period
 
     def evaluate_orbit(time: np.ndarray) -> np.ndarray:
         displacement_before, displacement, displacement_after = (
             np.ravel(displacement_function(time + time_offset))
-            for time_offset in (-time_step, 0.0, time_step)
+            for time_offset in (-central_difference_time_step, 0.0, central_difference_time_step)
         )
         return np.array(
-            [displacement, (displacement_after - displacement_before) / (2.0 * time_step)]
+            [
+                displacement,
+                (displacement_after - displacement_before) / (2.0 * central_difference_time_step),
+            ]
         )
 
     orbit = evaluate_orbit(np.linspace(0.0, solution.period, len(is_closed)))
@@ -820,8 +846,10 @@ def _draw_orbit(
             lw=3.2,
             label=closed_label,
         )
-    period_starts = evaluate_orbit(2.0 * np.pi / solution.omega * np.arange(solution.subharmonic))
-    axes.plot(*period_starts, "o", color="black", ms=5.5, label="a load period begins")
+    load_period_start_points = evaluate_orbit(
+        2.0 * np.pi / solution.omega * np.arange(solution.subharmonic)
+    )
+    axes.plot(*load_period_start_points, "o", color="black", ms=5.5, label="a load period begins")
     label_axis(axes.xaxis, quantity, "m")
     label_axis(axes.yaxis, "velocity", "m/s")
     axes.margins(0.08)
@@ -867,9 +895,10 @@ def draw_friction_loops(
         raise InputError("solution", repr(solution), "a solution with friction (CoulombFriction)")
     time = np.append(solution.instants(), solution.period)
     (_, tangential_gaps), (normal_forces, friction_forces) = (
-        np.hsplit(gaps_or_forces, 2) for gaps_or_forces in solution.gaps_and_forces(time)
+        np.hsplit(normal_and_tangential_values, 2)
+        for normal_and_tangential_values in solution.gaps_and_forces(time)
     )
-    is_pair_slipping = is_slipping(friction_coefficient, normal_forces, friction_forces)
+    is_slipping_by_time_and_pair = is_slipping(friction_coefficient, normal_forces, friction_forces)
     losses = friction_losses(tangential_gaps, friction_forces)
     [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **picture_options)
     drawn_pairs = np.argsort(-losses, kind="stable")[: min(MAX_DRAWN_FRICTION_LOOPS, len(losses))]
@@ -880,12 +909,12 @@ def draw_friction_loops(
         pair_gaps, pair_forces = tangential_gaps[:, pair_index], friction_forces[:, pair_index]
         label = f"{place_name}: {format_quantity(float(losses[pair_index]), 'J')}"
         panel.plot(pair_gaps, pair_forces, color=colour, lw=1.1, label=label)
-        slipping_gaps = np.where(is_pair_slipping[:, pair_index], pair_gaps, np.nan)
+        slipping_gaps = np.where(is_slipping_by_time_and_pair[:, pair_index], pair_gaps, np.nan)
         panel.plot(slipping_gaps, pair_forces, color=colour, lw=3.2)
     panel.axhline(0.0, color="black", lw=0.6)
     label_axis(panel.xaxis, "tangential gap", "m")
     label_axis(panel.yaxis, "friction force", "N")
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def draw_stress_intensity(
@@ -929,7 +958,7 @@ def draw_stress_intensity(
     for panel in picture:
         panel.axhline(0.0, color="black", lw=0.6)
         label_axis(panel.yaxis, "stress intensity", "Pa m^0.5")
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def _draw_intensities_of_tips(intensity: StressIntensity, panel: Axes) -> None:
@@ -937,8 +966,8 @@ def _draw_intensities_of_tips(intensity: StressIntensity, panel: Axes) -> None:
     time = intensity.time - intensity.time[0]
     closed_label = "crack tip closed"
     for tip, colour, mode_one, mode_two in zip(
-        intensity.tips,
-        distinct_colours(len(intensity.tips)),
+        intensity.tip_names,
+        distinct_colours(len(intensity.tip_names)),
         intensity.K_I.T,
         intensity.K_II.T,
         strict=True,
@@ -991,5 +1020,7 @@ def _draw_intensities_of_fronts(
                 label=label,
             )
             label = f"_{component_name}"  # once in the legend
-    time_panel.set_title(f"at {intensity.tips[intensity.leading_tip_index]}", fontsize="medium")
+    time_panel.set_title(
+        f"at {intensity.tip_names[intensity.leading_tip_index]}", fontsize="medium"
+    )
     label_axis(front_panel.xaxis, "distance along the front", "m")

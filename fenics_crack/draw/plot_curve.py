@@ -101,38 +101,42 @@ def draw_curve(
         panel.set_yscale("log")
     amplitudes = curve.amplitude(dof)
     unit_factor = axis_factor_name_and_unit(curve.parameter, in_hertz)[0]
-    for (curve_label, (parameter_values, other_amplitudes)), grey_tone in zip(
+    for (
+        comparison_label,
+        (comparison_parameter_values, comparison_amplitudes),
+    ), comparison_colour in zip(
         (behind or {}).items(), cycle(COMPARISON_CURVE_COLOURS), strict=False
     ):
         panel.plot(
-            unit_factor * parameter_values,
-            other_amplitudes,
-            color=grey_tone,
+            unit_factor * comparison_parameter_values,
+            comparison_amplitudes,
+            color=comparison_colour,
             lw=0.9,
-            label=curve_label,
+            label=comparison_label,
         )
     line_colour = CURVE_COLOUR_CODE_BY_NAME.get(colour, colour)
     _draw_curve_parts(panel, curve, unit_factor * curve.values, amplitudes, line_colour, label)
     _mark_peak(panel, curve, dof, in_hertz, line_colour if label else "")
     _mark_bifurcations(panel, curve, dof, unit_factor, line_colour if label else "")
-    for (curve_label, (parameter_values, other_amplitudes)), marker in zip(
-        (points or {}).items(), cycle("^v"), strict=False
-    ):
+    for (
+        comparison_label,
+        (comparison_parameter_values, comparison_amplitudes),
+    ), comparison_marker in zip((points or {}).items(), cycle("^v"), strict=False):
         panel.plot(
-            unit_factor * parameter_values,
-            other_amplitudes,
-            marker,
+            unit_factor * comparison_parameter_values,
+            comparison_amplitudes,
+            comparison_marker,
             color=CURVE_COLOUR_CODE_BY_NAME["green"],
             ms=4.5,
             mfc="none",
-            label=curve_label,
+            label=comparison_label,
         )
     if curve.parameter == "omega":
         _mark_superharmonics(panel, curve, dof, amplitudes, unit_factor)
     _label_parameter_axis(panel, curve, in_hertz)
     panel.margins(y=0.1)
     label_axis(panel.yaxis, "half peak-to-peak displacement", "m")
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def _draw_curve_parts(
@@ -155,28 +159,34 @@ def _draw_curve_parts(
     label : str
         Legend entry if there are several curves, otherwise empty.
     """
-    is_assessed = curve.multipliers is not None
-    verdicts = curve.verdicts if is_assessed else np.full(len(x), "stable")
-    is_inexact, faint_options = curve.displacement_errors > LARGE_ERROR, {"alpha": 0.3}
+    is_stability_examined = curve.multipliers is not None
+    verdicts = curve.verdicts if is_stability_examined else np.full(len(x), "stable")
+    is_inexact_point, inexact_part_options = curve.displacement_errors > LARGE_ERROR, {"alpha": 0.3}
     if label:
-        legend_label = label if is_assessed else f"{label} ({STABILITY_NOT_EXAMINED_LABEL})"
+        legend_label = (
+            label if is_stability_examined else f"{label} ({STABILITY_NOT_EXAMINED_LABEL})"
+        )
         axes.plot([], [], color=line_colour, lw=1.8, label=legend_label, gid=FIRST_IN_LEGEND_GID)
     for verdict, style in LINE_STYLES_BY_VERDICT.items():
         if not np.any(verdicts == verdict):
             continue
-        for has_large_error, alpha_options in ((False, {}), (True, faint_options)):
-            is_in_part = (verdicts == verdict) & (is_inexact == has_large_error)
+        for draws_inexact_points, alpha_options in ((False, {}), (True, inexact_part_options)):
+            is_in_part = (verdicts == verdict) & (is_inexact_point == draws_inexact_points)
             # A segment between two points has the verdict and error of the first.
             part_values = np.where(is_in_part | np.append(False, is_in_part[:-1]), y, np.nan)
             axes.plot(x, part_values, style, color=line_colour, lw=1.4, **alpha_options)
-        style_colour = CURVE_COLOUR_CODE_BY_NAME["grey"] if label else line_colour
-        if is_assessed or not label:
+        legend_line_colour = CURVE_COLOUR_CODE_BY_NAME["grey"] if label else line_colour
+        if is_stability_examined or not label:
             legend_label = (
-                verdict if is_assessed else f"with contact, {STABILITY_NOT_EXAMINED_LABEL}"
+                verdict
+                if is_stability_examined
+                else f"with contact, {STABILITY_NOT_EXAMINED_LABEL}"
             )
-            axes.plot([], [], style, color=style_colour, lw=1.4, label=legend_label)
-    if is_inexact.any():
-        axes.plot([], [], color=line_colour, lw=1.4, label=LARGE_ERROR_LABEL, **faint_options)
+            axes.plot([], [], style, color=legend_line_colour, lw=1.4, label=legend_label)
+    if is_inexact_point.any():
+        axes.plot(
+            [], [], color=line_colour, lw=1.4, label=LARGE_ERROR_LABEL, **inexact_part_options
+        )
 
 
 def _mark_peak(
@@ -248,10 +258,10 @@ def _mark_bifurcations(
         return
     x = np.array([unit_factor * bifurcation.value for bifurcation in curve.bifurcations])
     y = curve.at_bifurcations.amplitude(dof)[1:-1]
-    kinds = np.array([bifurcation.kind for bifurcation in curve.bifurcations])
-    is_marked = _choose_spread_marks(axes, x, y, kinds)
+    kind_of_each_bifurcation = np.array([bifurcation.kind for bifurcation in curve.bifurcations])
+    is_chosen_for_mark = _choose_spread_bifurcation_marks(axes, x, y, kind_of_each_bifurcation)
     for kind, marker in MARKERS_BY_BIFURCATION_KIND.items():
-        is_of_kind, legend_label = kinds == kind, kind_in_words(kind)
+        is_of_kind, legend_label = kind_of_each_bifurcation == kind, kind_in_words(kind)
         if not is_of_kind.any():
             continue
         marker_options: dict[str, Any] = {
@@ -262,13 +272,13 @@ def _mark_bifurcations(
             "zorder": 3,
         }
         axes.plot(
-            x[is_marked & is_of_kind],
-            y[is_marked & is_of_kind],
+            x[is_chosen_for_mark & is_of_kind],
+            y[is_chosen_for_mark & is_of_kind],
             color=curve_colour or CURVE_COLOUR_CODE_BY_NAME["orange"],
             **marker_options,
         )
         if not curve_colour:
-            n_found, n_marked = int(is_of_kind.sum()), int((is_marked & is_of_kind).sum())
+            n_found, n_marked = int(is_of_kind.sum()), int((is_chosen_for_mark & is_of_kind).sum())
             legend_label += (
                 f" ({n_found})" if n_marked == n_found else f" ({n_found}, {n_marked} marked)"
             )
@@ -283,7 +293,9 @@ def _mark_bifurcations(
         )
 
 
-def _choose_spread_marks(axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+def _choose_spread_bifurcation_marks(
+    axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.ndarray
+) -> np.ndarray:
     """Choose bifurcations to mark, so that marks do not pile up: (n,) bool.
 
     The panel is divided into cells, 3 % of its width by 3 % of its height. In each cell a single
@@ -328,17 +340,19 @@ def _mark_superharmonics(
     unit_factor : float
         Factor from the parameter's SI unit to the shown unit.
     """
-    largest_harmonic = np.argmax(_harmonic_amplitudes(curve, dof), axis=1) + 1
-    load_order, remainder = np.divmod(largest_harmonic, curve.subharmonic)
-    is_superharmonic = (load_order > 1) & (remainder == 0)
+    dominant_harmonic = np.argmax(_harmonic_amplitudes(curve, dof), axis=1) + 1
+    dominant_order_in_load_frequency, dominant_harmonic_remainder = np.divmod(
+        dominant_harmonic, curve.subharmonic
+    )
+    is_superharmonic = (dominant_order_in_load_frequency > 1) & (dominant_harmonic_remainder == 0)
     if not is_superharmonic.any():
         return
     from scipy.signal import find_peaks  # takes as long to load as matplotlib
 
-    peak_indices, _ = find_peaks(np.log10(np.maximum(amplitudes, 1e-300)), prominence=0.05)
-    for peak_index in peak_indices[is_superharmonic[peak_indices]]:
+    curve_peak_indices, _ = find_peaks(np.log10(np.maximum(amplitudes, 1e-300)), prominence=0.05)
+    for peak_index in curve_peak_indices[is_superharmonic[curve_peak_indices]]:
         axes.annotate(
-            f"{load_order[peak_index]}ω",
+            f"{dominant_order_in_load_frequency[peak_index]}ω",
             (unit_factor * curve.omega[peak_index], amplitudes[peak_index]),
             (0, 5),
             textcoords="offset points",
@@ -428,22 +442,22 @@ def draw_content(
     check_count("highest", highest, 1)
     [panel] = picture = Picture(**picture_options)
     panel.set_yscale("log")
-    load_harmonic_amplitudes = _harmonic_amplitudes(curve, dof)[
+    response_at_load_multiples = _harmonic_amplitudes(curve, dof)[
         :, curve.subharmonic - 1 :: curve.subharmonic
     ]
-    shown_amplitudes = load_harmonic_amplitudes[:, :highest].T
+    drawn_harmonic_amplitudes = response_at_load_multiples[:, :highest].T
     parameter_values = axis_factor_name_and_unit(curve.parameter, in_hertz)[0] * curve.values
-    colours = distinct_colours(len(shown_amplitudes))
+    colours = distinct_colours(len(drawn_harmonic_amplitudes))
     for order, (order_amplitudes, colour) in enumerate(
-        zip(shown_amplitudes, colours, strict=True), 1
+        zip(drawn_harmonic_amplitudes, colours, strict=True), 1
     ):
         panel.plot(
             parameter_values, order_amplitudes, color=colour, lw=1.2, label=f"harmonic {order}"
         )
-    panel.set_ylim(1e-5 * shown_amplitudes.max(), 2.0 * shown_amplitudes.max())
+    panel.set_ylim(1e-5 * drawn_harmonic_amplitudes.max(), 2.0 * drawn_harmonic_amplitudes.max())
     _label_parameter_axis(panel, curve, in_hertz)
     label_axis(panel.yaxis, "amplitude of the harmonic", "m")
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def draw_multipliers(
@@ -490,18 +504,18 @@ def draw_multipliers(
     is_irregular = curve.verdicts == "irregular"
     panel.axhline(1.0, color=CURVE_COLOUR_CODE_BY_NAME["grey"], lw=0.9, label="limit of stability")
     panel.plot(parameter_values, moduli, color=CURVE_COLOUR_CODE_BY_NAME["grey"], lw=0.4, alpha=0.6)
-    is_real, is_positive = ~is_complex_pair & ~is_irregular, multipliers.real > 0.0
+    is_real, has_positive_real_part = ~is_complex_pair & ~is_irregular, multipliers.real > 0.0
     for is_of_kind, label, colour in (
-        (is_real & is_positive, "real, positive", "blue"),
-        (is_real & ~is_positive, "real, negative", "orange"),
+        (is_real & has_positive_real_part, "real, positive", "blue"),
+        (is_real & ~has_positive_real_part, "real, negative", "orange"),
         (is_complex_pair & ~is_irregular, "a complex pair", "green"),
         (is_irregular, "growth of an irregular motion", "pink"),
     ):
-        is_drawn = is_of_kind & ~is_undecided
-        if is_drawn.any():
+        is_decided_and_of_kind = is_of_kind & ~is_undecided
+        if is_decided_and_of_kind.any():
             panel.plot(
-                parameter_values[is_drawn],
-                moduli[is_drawn],
+                parameter_values[is_decided_and_of_kind],
+                moduli[is_decided_and_of_kind],
                 ".",
                 ms=4.0,
                 color=CURVE_COLOUR_CODE_BY_NAME[colour],
@@ -524,4 +538,4 @@ def draw_multipliers(
         panel.plot([], [], " ", label=f"{n_above} of {len(moduli)} points lie above")
     _label_parameter_axis(panel, curve, in_hertz)
     panel.set_ylabel("modulus of the largest multiplier [-]")
-    return picture.finish()
+    return picture.draw_legends_and_save()

@@ -61,16 +61,19 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     >>> figure = fc.draw_mesh(structure, path="mesh.png")
     """
     mesh = NodalMesh(structure)
-    load_parts = mesh.nodal_vectors(mesh.structure.force)
+    nodal_load_fourier_parts = mesh.nodal_vectors(mesh.structure.force)
     if mesh.dimension == 3:
         picture = Picture(size=(5.5, 6.5), **picture_options)
-        _draw_solid(picture, mesh, load_parts)
-        return picture.finish()
-    aspect_ratio = float(
+        _draw_solid(picture, mesh, nodal_load_fourier_parts)
+        return picture.draw_legends_and_save()
+    width_to_height_ratio = float(
         np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5)
     )
     [panel] = picture = Picture(
-        size=(min(7.0, 3.6 + 2.0 * aspect_ratio), min(6.8, 1.6 + 3.6 / aspect_ratio)),
+        size=(
+            min(7.0, 3.6 + 2.0 * width_to_height_ratio),
+            min(6.8, 1.6 + 3.6 / width_to_height_ratio),
+        ),
         **picture_options,
     )
     clamped_edges = mesh.boundary_sides[mesh.is_clamped[mesh.boundary_sides].all(axis=1)]
@@ -97,26 +100,34 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
             zorder=3,
         )
     # Dozens of arrows at one node would hide each other.
-    if len(load_parts) > len(LOAD_ARROW_LABELS):
-        largest_part_index = 3 + int(np.argmax(np.linalg.norm(load_parts[3:], axis=(1, 2))))
-        load_parts = load_parts[[0, 1, 2, largest_part_index]]
-    acting_parts = np.flatnonzero(load_parts.any(axis=(1, 2)))
-    has_several_parts = len(acting_parts) > 1
-    for part_index in acting_parts:
-        legend_label = f"load, {LOAD_ARROW_LABELS[part_index]}" if has_several_parts else "load"
+    if len(nodal_load_fourier_parts) > len(LOAD_ARROW_LABELS):
+        largest_further_load_part_index = 3 + int(
+            np.argmax(np.linalg.norm(nodal_load_fourier_parts[3:], axis=(1, 2)))
+        )
+        nodal_load_fourier_parts = nodal_load_fourier_parts[
+            [0, 1, 2, largest_further_load_part_index]
+        ]
+    nonzero_load_part_indices = np.flatnonzero(nodal_load_fourier_parts.any(axis=(1, 2)))
+    has_several_load_parts = len(nonzero_load_part_indices) > 1
+    for load_part_index in nonzero_load_part_indices:
+        legend_label = (
+            f"load, {LOAD_ARROW_LABELS[load_part_index]}" if has_several_load_parts else "load"
+        )
         colour = (
-            LOAD_ARROW_COLOURS[part_index]
-            if has_several_parts
+            LOAD_ARROW_COLOURS[load_part_index]
+            if has_several_load_parts
             else CURVE_COLOUR_CODE_BY_NAME["pink"]
         )
-        _draw_load_arrows(panel, mesh, load_parts[part_index], legend_label, colour)
+        _draw_load_arrows(
+            panel, mesh, nodal_load_fourier_parts[load_part_index], legend_label, colour
+        )
     panel.autoscale_view()
     panel.margins(0.06)
     panel.set_aspect("equal")
     label_axis(panel.xaxis, "x", "m")
     label_axis(panel.yaxis, "y", "m")
     panel.set_axisbelow(True)
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 LOAD_ARROW_LABELS = ("mean", "cosine part", "sine part", "largest further harmonic")
@@ -192,17 +203,21 @@ def draw_modes(
     --------
     >>> figure = fc.draw_modes(fc.solve_modes(structure, 2), path="modes.png")
     """
-    mode_numbers = range(1, len(modes.omega) + 1)
-    numbers = list(mode_numbers if numbers is None else numbers)
-    if not numbers or any(mode_number not in mode_numbers for mode_number in numbers):
+    available_mode_numbers = range(1, len(modes.omega) + 1)
+    numbers = list(available_mode_numbers if numbers is None else numbers)
+    if not numbers or any(mode_number not in available_mode_numbers for mode_number in numbers):
         raise InputError(
-            "numbers", numbers, f"one or more mode numbers from 1 to {mode_numbers[-1]}"
+            "numbers", numbers, f"one or more mode numbers from 1 to {available_mode_numbers[-1]}"
         )
     check_count("columns", columns, 1)
     columns = min(columns, len(numbers))
     mesh = NodalMesh(modes.structure)
-    width, height = np.ptp(mesh.points, axis=0)[:2] + 0.2 * mesh.size  # a tenth each way
-    row_height = 0.4 + 2.4 * float(np.clip(height / width, 0.3, 1.0))
+    mesh_width_with_margin, mesh_height_with_margin = (
+        np.ptp(mesh.points, axis=0)[:2] + 0.2 * mesh.size
+    )  # a tenth each way
+    row_height = 0.4 + 2.4 * float(
+        np.clip(mesh_height_with_margin / mesh_width_with_margin, 0.3, 1.0)
+    )
     picture = Picture(
         len(numbers),
         n_columns=columns,
@@ -210,9 +225,9 @@ def draw_modes(
         comm=mesh.structure.comm,
         **picture_options,
     )
-    mode_shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
+    all_mode_shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
     for panel, mode_number in zip(picture, numbers, strict=True):
-        mode_shape = mode_shapes[mode_number - 1]
+        mode_shape = all_mode_shapes[mode_number - 1]
         displacement = magnification_to_tenth(mode_shape, mesh.size) * mode_shape
         draw_displaced_mesh(panel, mesh, displacement, np.linalg.norm(mode_shape, axis=1))
         panel.set_title(
@@ -257,12 +272,19 @@ def draw_displaced_mesh(
         mappable = axes.tripcolor(
             *displaced_points.T, mesh.triangles, values, shading="gouraud", cmap="viridis"
         )
-        fine_layers = [
+        thin_line_layers = [
             (mesh.edges, displaced_points, "#777777", 0.3),
             (mesh.boundary_sides, mesh.points, CURVE_COLOUR_CODE_BY_NAME["grey"], 0.6),
         ]
-        boundary_layer = mesh.boundary_sides, displaced_points, "black", 0.7 if is_wheel else 1.2
-        edge_layers = [boundary_layer] if is_wheel else [*fine_layers, boundary_layer]
+        boundary_line_layer = (
+            mesh.boundary_sides,
+            displaced_points,
+            "black",
+            0.7 if is_wheel else 1.2,
+        )
+        edge_layers = (
+            [boundary_line_layer] if is_wheel else [*thin_line_layers, boundary_line_layer]
+        )
         for edge_nodes, layer_points, colour, line_width in edge_layers:
             axes.add_collection(
                 LineCollection(layer_points[edge_nodes], colors=colour, linewidths=line_width)
@@ -276,7 +298,7 @@ def draw_displaced_mesh(
         surface = vtk.make_surface(displaced_points, mesh.boundary_sides)
         surface["amplitude"] = values
         plotter.add_mesh(surface, scalars="amplitude", cmap="viridis", show_scalar_bar=False)
-        sharp_edges = vtk.find_sharp_edge_nodes(mesh)
+        sharp_edges = vtk.find_node_pairs_of_sharp_edges(mesh)
         plotter.add_mesh(vtk.make_lines(displaced_points, sharp_edges), color="black", line_width=2)
         if not is_wheel:
             plotter.add_mesh(
@@ -308,12 +330,15 @@ def draw_numbered_faces(
     from fenics_crack.draw import vtk
 
     picture = Picture(2, n_columns=2, size=(11.0, 6.5), **picture_options)
-    number_texts = [str(face_number) for face_number in range(1, len(face_tags) + 1)]
-    for panel, axis_signs, view_title in zip(
+    face_number_strings = [str(face_number) for face_number in range(1, len(face_tags) + 1)]
+    for panel, view_axis_signs, view_title in zip(
         picture, ([1.0, 1.0, 1.0], [-1.0, 1.0, -1.0]), ("from a corner", "from the other side"),
         strict=True,
     ):  # fmt: skip
-        plotter, turned_corners = vtk.off_screen_plotter(), axis_signs * triangles.reshape(-1, 3)
+        plotter, turned_corners = (
+            vtk.off_screen_plotter(),
+            view_axis_signs * triangles.reshape(-1, 3),
+        )
         corner_rows = np.arange(len(turned_corners)).reshape(-1, 3)
         for face_tag, colour in zip(
             face_tags, cycle(CURVE_COLOUR_CODE_BY_NAME.values()), strict=False
@@ -323,8 +348,8 @@ def draw_numbered_faces(
                 color=to_rgb(colour),
             )
         plotter.add_point_labels(
-            axis_signs * number_positions[: len(face_tags)],
-            number_texts,
+            view_axis_signs * number_positions[: len(face_tags)],
+            face_number_strings,
             font_size=24,
             show_points=False,
             shape=None,
@@ -332,13 +357,13 @@ def draw_numbered_faces(
         panel.imshow(vtk.render_cropped_image(plotter, turned_corners), interpolation="antialiased")
         panel.axis("off")
         panel.set_title(view_title)
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 # --- of solids ------------------------------------------------------------------------------------
 
 
-def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> None:
+def _draw_solid(picture: Picture, mesh: NodalMesh, nodal_load_fourier_parts: np.ndarray) -> None:
     """Draw a solid with clamped facets, crack faces and load.
 
     Parameters
@@ -347,7 +372,7 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
         Picture to draw on.
     mesh : NodalMesh
         Mesh of the solid.
-    load_parts : (2K+1, n_nodes, 3) [N]
+    nodal_load_fourier_parts : (2K+1, n_nodes, 3) [N]
         Nodal forces: mean, then cosine and sine parts for harmonics 1 to K. Each has an arrow in
         the direction of the total force; all arrows are equally long.
     """
@@ -355,32 +380,38 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
 
     plotter = vtk.off_screen_plotter()
     points, facets = mesh.points, mesh.boundary_sides
-    is_clamped = mesh.is_clamped[facets].all(axis=1)
+    is_clamped_facet = mesh.is_clamped[facets].all(axis=1)
     is_crack_face = are_rows_in(facets, mesh.crack_face_sides)
-    free_surface = vtk.make_surface(points, facets[~is_clamped & ~is_crack_face])
+    free_surface = vtk.make_surface(points, facets[~is_clamped_facet & ~is_crack_face])
     plotter.add_mesh(
         free_surface, color="#d8d8d8", opacity=0.35, show_edges=True, edge_color="#9a9a9a"
     )
     plotter.add_mesh(
-        vtk.make_lines(points, vtk.find_sharp_edge_nodes(mesh)), color="black", line_width=3
+        vtk.make_lines(points, vtk.find_node_pairs_of_sharp_edges(mesh)),
+        color="black",
+        line_width=3,
     )
     legend_patches = []
     for part_facets, colour, label in (
-        (facets[is_clamped], "green", "clamped"),
+        (facets[is_clamped_facet], "green", "clamped"),
         (facets[is_crack_face], "orange", "crack faces"),
     ):
         if len(part_facets):
-            part_surface = vtk.make_surface(points, part_facets)
+            clamped_or_crack_surface = vtk.make_surface(points, part_facets)
             plotter.add_mesh(
-                part_surface, color=to_rgb(CURVE_COLOUR_CODE_BY_NAME[colour]), lighting=False
+                clamped_or_crack_surface,
+                color=to_rgb(CURVE_COLOUR_CODE_BY_NAME[colour]),
+                lighting=False,
             )
             legend_patches.append(Patch(color=CURVE_COLOUR_CODE_BY_NAME[colour], label=label))
-    for nodal_forces in load_parts:
+    for nodal_forces in nodal_load_fourier_parts:
         total_force, force_sizes = nodal_forces.sum(axis=0), np.abs(nodal_forces).sum(axis=1)
         if np.linalg.norm(total_force) > 0.0:
-            arrow_head = force_sizes @ points / force_sizes.sum()
+            arrow_head_point = force_sizes @ points / force_sizes.sum()
             arrow_length = 0.2 * mesh.size
-            arrow_start = arrow_head - arrow_length * total_force / np.linalg.norm(total_force)
+            arrow_start = arrow_head_point - arrow_length * total_force / np.linalg.norm(
+                total_force
+            )
             arrow = vtk.import_pyvista().Arrow(
                 start=arrow_start,
                 direction=total_force,
@@ -389,7 +420,7 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
                 tip_radius=0.08,
             )
             plotter.add_mesh(arrow, color=to_rgb(CURVE_COLOUR_CODE_BY_NAME["pink"]), lighting=False)
-    if np.any(load_parts):
+    if np.any(nodal_load_fourier_parts):
         legend_patches.append(Patch(color=CURVE_COLOUR_CODE_BY_NAME["pink"], label="load"))
     [axes] = picture
     axes.imshow(vtk.render_cropped_image(plotter, points), interpolation="antialiased")

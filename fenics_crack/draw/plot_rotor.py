@@ -85,36 +85,44 @@ def draw_campbell(
     [panel] = picture = Picture(**picture_options)
     frequency_factor, _, frequency_unit = choose_frequency_factor_name_unit(in_hertz)
     speed_factor, *speed_name_and_unit = choose_speed_factor_name_unit(in_rpm)
-    speeds, frequencies = speed_factor * diagram.speed, frequency_factor * diagram.omega_real
+    speeds, frequencies = (
+        speed_factor * diagram.speed,
+        frequency_factor * diagram.omega_in_actual_state,
+    )
     largest_order_frequency = max(orders, default=0) * frequency_factor / speed_factor * speeds[-1]
     frequencies = frequencies[
         :, : max(1, int(np.sum(frequencies.min(axis=0) <= largest_order_frequency)))
     ]
     colours = list(CURVE_COLOUR_CODE_BY_NAME.values())[:-1]
     for mode_index in range(frequencies.shape[1]):
-        line_speeds, line_frequencies, line_states = zip(
-            *diagram.real_line(mode_index + 1), strict=True
+        mode_line_speeds, mode_line_frequencies, mode_line_frequency_kinds = zip(
+            *diagram.list_actual_state_line(mode_index + 1), strict=True
         )
         colour, label = colours[mode_index % len(colours)], f"mode {mode_index + 1}"
         if diagram.cracked:
             label = ", ".join(
                 [
                     label,
-                    *dict.fromkeys(CRACK_STATE_BY_FREQUENCY_KIND[state] for state in line_states),
+                    *dict.fromkeys(
+                        CRACK_STATE_BY_FREQUENCY_KIND[frequency_kind]
+                        for frequency_kind in mode_line_frequency_kinds
+                    ),
                 ]
             )
         panel.plot(
-            speed_factor * np.array(line_speeds),
-            frequency_factor * np.array(line_frequencies),
+            speed_factor * np.array(mode_line_speeds),
+            frequency_factor * np.array(mode_line_frequencies),
             color=colour,
             label=label,
         )
         if diagram.cracked:
-            band_edges = (
+            open_and_bonded_frequencies = (
                 frequency_factor * state_omega[:, mode_index]
                 for state_omega in (diagram.omega_open, diagram.omega_tied)
             )
-            panel.fill_between(speeds, *band_edges, color=colour, alpha=0.25, lw=0.0)
+            panel.fill_between(
+                speeds, *open_and_bonded_frequencies, color=colour, alpha=0.25, lw=0.0
+            )
     upper_limit = 1.08 * float(frequencies.max())
     panel.set(xlim=(speeds[0], speeds[-1]), ylim=(0.0, upper_limit))
     for order in orders:
@@ -137,7 +145,7 @@ def draw_campbell(
         xlabel=heading_with_unit(*speed_name_and_unit),
         ylabel=f"natural frequency [{frequency_unit}]",
     )
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def _draw_engine_order(
@@ -241,7 +249,7 @@ def draw_arrivals(
     """
     [panel] = picture = Picture(**picture_options)
     _draw_displacements(panel, arrivals, in_rpm)
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> None:
@@ -251,7 +259,7 @@ def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> No
     """
     speed_factor, *speed_name_and_unit = choose_speed_factor_name_unit(in_rpm)
     is_steady, revolutions = arrivals.steady, arrivals.first + np.arange(len(arrivals))
-    abscissa = revolutions if is_steady else speed_factor * arrivals.speed
+    revolutions_or_speeds = revolutions if is_steady else speed_factor * arrivals.speed
     for probe_displacements, probe_angle, colour, marker in zip(
         arrivals.displacement.T,
         arrivals.probes,
@@ -260,7 +268,7 @@ def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> No
         strict=False,
     ):
         panel.plot(
-            abscissa,
+            revolutions_or_speeds,
             probe_displacements,
             marker,
             color=colour,
@@ -307,10 +315,10 @@ def draw_tip_fit(
     """
     time_panel, order_panel = picture = Picture(2, size=(7.0, 7.0), **picture_options)
     n_load_periods = max(1, round(1.0 / fit.multiples[0]))  # load periods in a response period
-    load_periods = np.linspace(0.0, n_load_periods, 500)
+    times_in_load_periods = np.linspace(0.0, n_load_periods, 500)
     has_arrived = np.isfinite(arrivals.time)
     arrival_periods = (
-        fit.order * fit.phases(arrivals)[has_arrived] / (2.0 * np.pi)
+        fit.order * fit.angles_at_arrivals(arrivals)[has_arrived] / (2.0 * np.pi)
     ) % n_load_periods
     time_panel.plot(
         arrival_periods,
@@ -323,8 +331,8 @@ def draw_tip_fit(
         label="arrivals",
     )
     time_panel.plot(
-        load_periods,
-        fit.displacement(2.0 * np.pi * load_periods / fit.order),
+        times_in_load_periods,
+        fit.displacement(2.0 * np.pi * times_in_load_periods / fit.order),
         color=CURVE_COLOUR_CODE_BY_NAME["orange"],
         lw=1.6,
         label=f"fit, order {fit.order:.6g}",
@@ -335,7 +343,7 @@ def draw_tip_fit(
         _draw_candidates(order_panel, fit.candidates, fit.order)
     else:
         _draw_fitted_harmonics(order_panel, fit)
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> None:
@@ -343,7 +351,7 @@ def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> N
 
     Marked are the best order, orders that fit as well, and orders that the probes cannot measure.
     """
-    axis_bottom = _set_log_scale(axes, candidates.residuals)
+    axis_bottom = _set_log_scale_if_any_positive(axes, candidates.residuals)
     is_best = candidates.orders == best_order
     categories_by_label = {
         "other orders": (~is_best & ~candidates.equivalent & ~candidates.hidden, "o", "grey"),
@@ -353,18 +361,18 @@ def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> N
     }
     for label, (is_in_category, marker, colour) in categories_by_label.items():
         if np.any(is_in_category):
-            category_orders = candidates.orders[is_in_category]
-            category_residuals = np.maximum(candidates.residuals[is_in_category], axis_bottom)
+            engine_orders_in_category = candidates.orders[is_in_category]
+            residuals_in_category = np.maximum(candidates.residuals[is_in_category], axis_bottom)
             axes.vlines(
-                category_orders,
+                engine_orders_in_category,
                 axis_bottom,
-                category_residuals,
+                residuals_in_category,
                 color=CURVE_COLOUR_CODE_BY_NAME[colour],
                 lw=1.0,
             )
             axes.plot(
-                category_orders,
-                category_residuals,
+                engine_orders_in_category,
+                residuals_in_category,
                 marker,
                 color=CURVE_COLOUR_CODE_BY_NAME[colour],
                 ms=5.0,
@@ -377,7 +385,7 @@ def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> N
     label_axis(axes.yaxis, "rms residual of the fit", "m")
 
 
-def _set_log_scale(axes: Axes, values: np.ndarray) -> float:
+def _set_log_scale_if_any_positive(axes: Axes, values: np.ndarray) -> float:
     """Make the vertical axis logarithmic if any value is positive.
 
     Return half the smallest positive value, for the axis's lower end. Without a positive value,
@@ -394,7 +402,7 @@ def _draw_fitted_harmonics(axes: Axes, fit: TipFit) -> None:
     """Draw the amplitudes of a fit's harmonics with their standard errors."""
     multiples, amplitudes, standard_errors = fit.multiples, fit.amplitudes, fit.amplitude_errors
     amplitudes_and_errors = np.append(amplitudes, standard_errors)
-    axis_bottom = _set_log_scale(axes, amplitudes_and_errors)
+    axis_bottom = _set_log_scale_if_any_positive(axes, amplitudes_and_errors)
     if axis_bottom > 0.0:
         axes.set_ylim(axis_bottom, 2.0 * np.nanmax(amplitudes_and_errors))
     axes.errorbar(
@@ -462,7 +470,7 @@ def draw_tip_track(
     panel.set_xlabel(heading_with_unit(frequency_name, unit))
     label_axis(panel.yaxis, "amplitude of the blade tip", "m")
     panel.set_ylim(bottom=0.0)
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def draw_passages(
@@ -503,9 +511,9 @@ def draw_passages(
     record_panel, passage_panel = picture = Picture(2, size=(7.0, 7.0), **picture_options)
     _draw_displacements(record_panel, arrivals, in_rpm=True)
     for passage_index, passage in enumerate(passages):
-        rotor_speed = passage.speed / RAD_PER_S_PER_RPM
+        resonance_speed_in_rpm = passage.speed / RAD_PER_S_PER_RPM
         record_panel.axvline(
-            rotor_speed,
+            resonance_speed_in_rpm,
             color=CURVE_COLOUR_CODE_BY_NAME["grey"],
             lw=0.7,
             ls="--",
@@ -515,7 +523,7 @@ def draw_passages(
         _write_engine_order(
             record_panel,
             passage.order,
-            (rotor_speed, 1.0),
+            (resonance_speed_in_rpm, 1.0),
             (0, 2 + 9 * (passage_index % 2)),
             ha="center",
             xycoords=("data", "axes fraction"),
@@ -524,7 +532,7 @@ def draw_passages(
         _draw_passage_fit(passage_panel, passages[0], arrivals)
     else:
         passage_panel.set_axis_off()
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def _draw_passage_fit(axes: Axes, passage: PassageFit, arrivals: ArrivalTimes) -> None:
@@ -533,7 +541,7 @@ def _draw_passage_fit(axes: Axes, passage: PassageFit, arrivals: ArrivalTimes) -
     Only the probe with the largest fitted motion is shown. The title states engine order,
     frequency and probe.
     """
-    measured_and_fitted_runs = passage.compared(arrivals)
+    measured_and_fitted_runs = passage.compute_measured_and_fitted_motion(arrivals)
     probe_index = int(
         np.argmax(
             sum(
@@ -545,7 +553,7 @@ def _draw_passage_fit(axes: Axes, passage: PassageFit, arrivals: ArrivalTimes) -
     for (speeds, measured_displacements, fitted_displacements), colour in zip(
         measured_and_fitted_runs, cycle(CURVE_COLOUR_CODE_BY_NAME.values()), strict=False
     ):
-        direction = "up" if speeds[-1] > speeds[0] else "down"
+        speed_direction_word = "up" if speeds[-1] > speeds[0] else "down"
         axes.plot(
             speeds / RAD_PER_S_PER_RPM,
             measured_displacements[:, probe_index],
@@ -554,14 +562,14 @@ def _draw_passage_fit(axes: Axes, passage: PassageFit, arrivals: ArrivalTimes) -
             ms=3.0,
             mew=0,
             alpha=0.6,
-            label=f"arrivals, {direction}",
+            label=f"arrivals, {speed_direction_word}",
         )
         axes.plot(
             speeds / RAD_PER_S_PER_RPM,
             fitted_displacements[:, probe_index],
             color=colour,
             lw=1.2,
-            label=f"fit, {direction}",
+            label=f"fit, {speed_direction_word}",
         )
     axes.set_xlabel("rotor speed [rpm]")
     label_axis(axes.yaxis, "blade tip displacement", "m")

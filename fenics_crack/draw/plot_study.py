@@ -20,7 +20,7 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.draw.figure import (
     CURVE_COLOUR_CODE_BY_NAME,
-    MAX_LETTERS_PER_LINE,
+    MAX_LETTERS_PER_LABEL_LINE,
     Picture,
     PictureOptions,
     distinct_colours,
@@ -84,15 +84,15 @@ def draw_posterior(
     >>> figure = fc.draw_posterior(found, path="posterior.png")  # doctest: +SKIP
     """
     x, *second_keys = [key for key in (x, y) if key is not None] or found.unknown[:2]
-    for name, key in zip("xy", (x, *second_keys), strict=False):
+    for argument_name, key in zip("xy", (x, *second_keys), strict=False):
         if key not in found.unknown or second_keys == [x]:
             raise InputError(
-                name, key, f"one of {', '.join(found.unknown)}, with x different from y"
+                argument_name, key, f"one of {', '.join(found.unknown)}, with x different from y"
             )
     [panel] = picture = Picture(size=(6.0, 4.6), **picture_options)
     if not second_keys:
         _draw_density(panel, found, x)
-        return picture.finish()
+        return picture.draw_legends_and_save()
     [y] = second_keys
     x_index, y_index = (found.unknown.index(key) for key in (x, y))
     posterior = found.posterior
@@ -132,16 +132,22 @@ def draw_posterior(
             lw=1.8,
             label=f"50, 95 and 99.9 %{', ' if branch_name else ''}{branch_name}",
         )
-        x_indices, y_indices = np.nonzero(log_density.T > log_levels[0])
-        shown_points.append(np.column_stack([x_values[x_indices], y_values[y_indices]]))
+        shown_point_x_indices, shown_point_y_indices = np.nonzero(log_density.T > log_levels[0])
+        shown_points.append(
+            np.column_stack([x_values[shown_point_x_indices], y_values[shown_point_y_indices]])
+        )
     panel.plot(
         *shown_points[0].T, "+", label="estimate", color="black", ms=10, mew=1.5, clip_on=False
     )
-    branch_axes = next(iter(posterior.branch_by_words.values())).axes
-    _set_limits(panel, np.concatenate(shown_points), (branch_axes[x_index], branch_axes[y_index]))
+    grid_values_of_unknowns = next(iter(posterior.branch_by_words.values())).axes
+    _set_limits(
+        panel,
+        np.concatenate(shown_points),
+        (grid_values_of_unknowns[x_index], grid_values_of_unknowns[y_index]),
+    )
     label_axis(panel.xaxis, key_in_words(x), unit_of_key(x))
     label_axis(panel.yaxis, key_in_words(y), unit_of_key(y))
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def _draw_density(panel: Axes, identification: Identification, key: str) -> None:
@@ -154,7 +160,9 @@ def _draw_density(panel: Axes, identification: Identification, key: str) -> None
     interval_start, interval_end = identification.intervals[key]
     lines_by_branch = {}
     for branch_name, branch in posterior.branch_by_words.items():
-        other_axes = tuple(k for k in range(len(branch.axes)) if k != key_index)
+        other_axes = tuple(
+            axis_index for axis_index in range(len(branch.axes)) if axis_index != key_index
+        )
         density = posterior.grid_probabilities_by_words[branch_name].sum(
             axis=other_axes
         ) / branch.prior_probabilities.sum(axis=other_axes)
@@ -174,10 +182,10 @@ def _draw_density(panel: Axes, identification: Identification, key: str) -> None
             color=colour,
             label=branch_name or "probability",
         )
-        is_inside = (unknown_values >= interval_start) & (unknown_values <= interval_end)
+        is_inside_interval = (unknown_values >= interval_start) & (unknown_values <= interval_end)
         panel.fill_between(
-            unknown_values[is_inside],
-            density[is_inside] / largest_density,
+            unknown_values[is_inside_interval],
+            density[is_inside_interval] / largest_density,
             color=colour,
             alpha=0.2,
             lw=0.0,
@@ -277,11 +285,15 @@ def draw_verification(found: Verification, **picture_options: Unpack[PictureOpti
     convergence_panel, contribution_panel = picture = Picture(
         2, n_columns=2, size=(13.0, max(4.2, 1.8 + 0.3 * len(found.values))), **picture_options
     )
-    first_cause = next(iter(found.causes), "")
-    styles_by_quantity = _choose_line_styles(found, first_cause) if first_cause else {}
-    _draw_differences_from_extrapolation(convergence_panel, found, first_cause, styles_by_quantity)
+    cause_of_convergence_panel = next(iter(found.causes), "")
+    styles_by_quantity = (
+        _choose_line_styles(found, cause_of_convergence_panel) if cause_of_convergence_panel else {}
+    )
+    _draw_differences_from_extrapolation(
+        convergence_panel, found, cause_of_convergence_panel, styles_by_quantity
+    )
     _draw_contributions(contribution_panel, found, styles_by_quantity)
-    return picture.finish()
+    return picture.draw_legends_and_save()
 
 
 def _draw_differences_from_extrapolation(
@@ -294,28 +306,42 @@ def _draw_differences_from_extrapolation(
     scene's. If the cause is not the mesh, h_i is 1 / count, for example with the number of
     harmonics.
     """
-    relative_sizes, largest_difference = np.ones(1), 100.0 * MIN_REPORTED_RELATIVE_ERROR
+    sizes_relative_to_coarsest, largest_difference = np.ones(1), 100.0 * MIN_REPORTED_RELATIVE_ERROR
     for quantity_name, line_options in styles_by_quantity.items():
         convergence = verification.parts[cause][quantity_name]
-        distances = np.abs(np.array(convergence.values) - convergence.extrapolated)
-        percent_differences = np.array(
-            [100.0 * verification.relative(quantity_name, distance) for distance in distances]
+        distances_from_extrapolated = np.abs(
+            np.array(convergence.values) - convergence.extrapolated
         )
-        relative_sizes = np.array(convergence.sizes) / convergence.sizes[-1]
+        percent_differences = np.array(
+            [
+                100.0 * verification.relative(quantity_name, distance_from_extrapolated)
+                for distance_from_extrapolated in distances_from_extrapolated
+            ]
+        )
+        sizes_relative_to_coarsest = np.array(convergence.sizes) / convergence.sizes[-1]
         largest_difference = max(largest_difference, percent_differences.max())
-        panel.plot(relative_sizes, percent_differences, **line_options)
+        panel.plot(sizes_relative_to_coarsest, percent_differences, **line_options)
     if not styles_by_quantity:
         panel.set_axis_off()
         panel.text(0.5, 0.5, "nothing to extrapolate", ha="center", transform=panel.transAxes)
         return
-    end_sizes = relative_sizes[[0, -1]]
-    first_order_differences = 2.0 * largest_difference * end_sizes
+    first_and_last_relative_sizes = sizes_relative_to_coarsest[[0, -1]]
+    first_order_reference_line = 2.0 * largest_difference * first_and_last_relative_sizes
     panel.plot(
-        end_sizes, first_order_differences, color="black", ls=":", lw=1.2, label="first order"
+        first_and_last_relative_sizes,
+        first_order_reference_line,
+        color="black",
+        ls=":",
+        lw=1.2,
+        label="first order",
     )
     panel.set(xscale="log", yscale="log")
     panel.set_xticks(
-        relative_sizes, labels=[f"{relative_size:.2g}" for relative_size in relative_sizes]
+        sizes_relative_to_coarsest,
+        labels=[
+            f"{size_relative_to_coarsest:.2g}"
+            for size_relative_to_coarsest in sizes_relative_to_coarsest
+        ],
     )
     panel.set_xticks([], minor=True)
     label_axis(panel.yaxis, "difference from the extrapolated value", "%")
@@ -374,12 +400,12 @@ def _draw_contributions(
                 lw=1.6,
             )
         for cause, absolute_uncertainty in verification.contributions(quantity_name).items():
-            has_small_factor = (
+            has_small_safety_factor = (
                 verification.parts[cause][quantity_name].factor <= ASYMPTOTIC_SAFETY_FACTOR
             )
             error_percent = 100.0 * verification.relative(quantity_name, absolute_uncertainty)
             if error_percent > 100.0 * MIN_REPORTED_RELATIVE_ERROR:
-                fill_colour = colours[cause] if has_small_factor else "none"
+                fill_colour = colours[cause] if has_small_safety_factor else "none"
                 panel.plot(
                     error_percent, row_position, "o", ms=7, color=colours[cause], mfc=fill_colour
                 )
@@ -394,13 +420,18 @@ def _draw_contributions(
             )
         if verification.causes:
             convergence = verification.parts[verification.causes[0]][quantity_name]
-            order_text = (
+            convergence_order_text = (
                 f"{convergence.order:.2g}"
                 if np.isfinite(convergence.order)
                 else convergence.behaviour
             )
             panel.text(
-                1.02, row_position, order_text, transform=axis_transform, va="center", fontsize=9
+                1.02,
+                row_position,
+                convergence_order_text,
+                transform=axis_transform,
+                va="center",
+                fontsize=9,
             )
     for cause in verification.causes:
         panel.plot(
@@ -438,9 +469,11 @@ def _describe_quantity(verification: Verification, name: str) -> str:
         else observable.words
     )
     if point_name:
-        quantity_text += f", {verification.scene.label_by_point_name.get(point_name, point_name)}"
+        quantity_text += (
+            f", {verification.scene.label_by_displacement_name.get(point_name, point_name)}"
+        )
     return (
-        f"{fill(quantity_text, MAX_LETTERS_PER_LINE)}, "
+        f"{fill(quantity_text, MAX_LETTERS_PER_LABEL_LINE)}, "
         f"{format_quantity(verification.values[name], verification.units[name])}"
     )
 
@@ -510,17 +543,17 @@ def draw_growth(
             )
     if found.depth is None:
         solved_lengths = found.solved[found.solved <= found.length[-1]]
-        solved_cycles, solved_ranges = (
-            np.interp(solved_lengths, found.length, column)
-            for column in (found.cycles, found.effective)
+        solved_cycles, intensity_ranges_at_solved_lengths = (
+            np.interp(solved_lengths, found.length, cycles_or_intensity_ranges)
+            for cycles_or_intensity_ranges in (found.cycles, found.effective)
         )
         dot_options = {"color": CURVE_COLOUR_CODE_BY_NAME["blue"], "ms": 4.0}
         length_panel.plot(solved_cycles, solved_lengths, "o", label="solved", **dot_options)
-        intensity_panel.plot(solved_cycles, solved_ranges, "o", **dot_options)
+        intensity_panel.plot(solved_cycles, intensity_ranges_at_solved_lengths, "o", **dot_options)
     if found.effective.max() > 0.0:
         intensity_panel.set_yscale("log")
     label_axis(length_panel.yaxis, "crack", "m")
     label_axis(frequency_panel.yaxis, "frequency", unit)
     label_axis(intensity_panel.yaxis, "stress intensity", "Pa m^0.5")
     label_count_axis(intensity_panel.xaxis, "load cycles")
-    return picture.finish()
+    return picture.draw_legends_and_save()

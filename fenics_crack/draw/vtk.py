@@ -25,7 +25,7 @@ from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.atomic_files import (
-    check_inner_folder,
+    check_is_no_link_or_file,
     write_file_whole,
     write_files_together,
 )
@@ -34,7 +34,7 @@ from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import gather_rows, on_root
 from fenics_crack.draw.figure import magnification_to_tenth
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.model.matrices import floats_or_nan
+from fenics_crack.model.matrices import floats_or_single_nan
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import evaluate_series
@@ -78,12 +78,20 @@ def look_from_corner(renderer: Any, points: np.ndarray) -> None:
     """
     camera = set_parallel_camera(renderer)
     node_offsets = points[:, [0, 2]] - points[:, [0, 2]].mean(axis=0)
-    x, z = np.linalg.eigh(node_offsets.T @ node_offsets)[1][:, 0]  # thinnest axis
-    x, z = (x, z) if z > 0.0 else (-x, -z)
+    thinnest_axis_x, thinnest_axis_z = np.linalg.eigh(node_offsets.T @ node_offsets)[1][
+        :, 0
+    ]  # thinnest axis
+    thinnest_axis_x, thinnest_axis_z = (
+        (thinnest_axis_x, thinnest_axis_z)
+        if thinnest_axis_z > 0.0
+        else (-thinnest_axis_x, -thinnest_axis_z)
+    )
     camera.SetFocalPoint(0.0, 0.0, 0.0)
     wide_offset, upward_offset, thin_offset = -1.3, 0.55, 1.6  # along the camera's three axes
     camera.SetPosition(
-        wide_offset * z + thin_offset * x, upward_offset, thin_offset * z - wide_offset * x
+        wide_offset * thinnest_axis_z + thin_offset * thinnest_axis_x,
+        upward_offset,
+        thin_offset * thinnest_axis_z - wide_offset * thinnest_axis_x,
     )
     camera.SetViewUp(0.0, 1.0, 0.0)
     renderer.ResetCamera()
@@ -94,13 +102,13 @@ def import_pyvista() -> Any:
 
     Where mypy is installed, the plugin would take a third of the loading time.
     """
-    module_table: dict[str, Any] = sys.modules
-    is_mypy_absent = module_table.setdefault("mypy", None) is None
+    loaded_module_by_name: dict[str, Any] = sys.modules
+    is_mypy_import_blocked = loaded_module_by_name.setdefault("mypy", None) is None
     try:
         import pyvista
     finally:
-        if is_mypy_absent:
-            del module_table["mypy"]
+        if is_mypy_import_blocked:
+            del loaded_module_by_name["mypy"]
     return pyvista
 
 
@@ -161,7 +169,7 @@ def make_lines(points: np.ndarray, edges: np.ndarray) -> Any:
     return import_pyvista().PolyData(pad_to_space(points), lines=edges_with_size.ravel())
 
 
-def find_sharp_edge_nodes(mesh: NodalMesh) -> np.ndarray:
+def find_node_pairs_of_sharp_edges(mesh: NodalMesh) -> np.ndarray:
     """Return the sharp edges of a solid's surface: (n, 2) nodes.
 
     At a sharp edge the surface bends by more than 25 degrees.
@@ -237,10 +245,10 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
     ]
     displacement_gradient = np.moveaxis(np.stack(derivative_fields, axis=-1), 0, -3)
     nu = material.poisson
-    volume_factor = nu / (1.0 - nu) if mesh.dimension == 2 else nu / (1.0 - 2.0 * nu)
+    volume_strain_coefficient = nu / (1.0 - nu) if mesh.dimension == 2 else nu / (1.0 - 2.0 * nu)
     strain = 0.5 * (displacement_gradient + np.swapaxes(displacement_gradient, -1, -2))
     volume_strain = np.trace(strain, axis1=-2, axis2=-1)[..., None, None] * np.eye(mesh.dimension)
-    stress = material.young / (1.0 + nu) * (strain + volume_factor * volume_strain)
+    stress = material.young / (1.0 + nu) * (strain + volume_strain_coefficient * volume_strain)
     component_names = STRESS_COMPONENTS_BY_DIMENSION[mesh.dimension]
     component_indices = (map("xyz".index, name) for name in component_names)
     return np.stack([stress[..., i, j] for i, j in component_indices], axis=-1)
@@ -260,10 +268,10 @@ def _make_derivative_matrices(mesh: NodalMesh) -> list[csr_matrix]:
         Matrices for d/dx, d/dy and, in a solid, d/dz.
     """
     n_cell_nodes = mesh.cells.shape[1]
-    node_coordinates = np.reshape(
+    unit_cell_node_coordinates = np.reshape(
         make_grid_at_rest(mesh).GetCell(0).GetParametricCoords(), (n_cell_nodes, 3)
     )
-    unit_cell = _make_grid(node_coordinates, np.arange(n_cell_nodes)[None], mesh.vtk_type)
+    unit_cell = _make_grid(unit_cell_node_coordinates, np.arange(n_cell_nodes)[None], mesh.vtk_type)
     unit_cell.point_data["shape"] = np.eye(n_cell_nodes)
     flat_shape_gradients = np.asarray(unit_cell.compute_derivative("shape")["gradient"])
     # Node, shape function, axis.
@@ -271,16 +279,16 @@ def _make_derivative_matrices(mesh: NodalMesh) -> list[csr_matrix]:
         ..., : mesh.dimension
     ]
     jacobians = np.einsum("cbx,nbX->cnxX", mesh.points[mesh.cells], shape_gradients)
-    weighted_cell_derivatives = np.einsum(
+    node_averaged_cell_derivatives = np.einsum(
         "nbX,cnXx->xcnb", shape_gradients, np.linalg.inv(jacobians)
     )
-    weighted_cell_derivatives /= np.bincount(mesh.cells.ravel())[mesh.cells][..., None]
+    node_averaged_cell_derivatives /= np.bincount(mesh.cells.ravel())[mesh.cells][..., None]
     matrix_rows = np.repeat(mesh.cells, n_cell_nodes)
     matrix_columns = np.tile(mesh.cells, n_cell_nodes).ravel()
     matrix_shape = 2 * (len(mesh.points),)
     return [
         csr_matrix((axis_derivatives.ravel(), (matrix_rows, matrix_columns)), matrix_shape)
-        for axis_derivatives in weighted_cell_derivatives
+        for axis_derivatives in node_averaged_cell_derivatives
     ]
 
 
@@ -332,31 +340,37 @@ def stress_at(
     from fenics_crack.runs.run import check_run_has_motion  # loads DOLFINx
 
     check_run_has_motion(run)
-    result, structure = run.result, run.structure
-    mesh, stress_points = NodalMesh(structure), floats_or_nan(points)
-    has_valid_shape = stress_points.ndim == 2 and stress_points.shape[1] == mesh.dimension
-    if not (has_valid_shape and stress_points.size and np.all(np.isfinite(stress_points))):
+    solution_or_history, structure = run.result, run.structure
+    mesh, stress_points = NodalMesh(structure), floats_or_single_nan(points)
+    has_valid_points_shape = stress_points.ndim == 2 and stress_points.shape[1] == mesh.dimension
+    if not (has_valid_points_shape and stress_points.size and np.all(np.isfinite(stress_points))):
         raise InputError(
             "points", points, f"one or more rows of {mesh.dimension} finite numbers [m]"
         )
-    if isinstance(result, TimeHistory):
-        time = result.time
-        if len(result.recorded_dofs) < structure.n_local:
+    if isinstance(solution_or_history, TimeHistory):
+        time = solution_or_history.time
+        if len(solution_or_history.recorded_dofs) < structure.n_local:
             raise InputError(
-                "dofs", result.recorded_dofs.tolist(), "None, to record all displacements"
+                "dofs",
+                solution_or_history.recorded_dofs.tolist(),
+                "None, to record all displacements",
             )
-        displacement = structure.expand(result.recorded)
+        displacement = structure.expand(solution_or_history.recorded)
     else:
-        time = np.linspace(0.0, result.period, 128, endpoint=False)
-        displacement = result.displacement_field(time)
+        time = np.linspace(0.0, solution_or_history.period, 128, endpoint=False)
+        displacement = solution_or_history.displacement_field(time)
     nodal_stresses = nodal_stress(mesh, mesh.nodal_vectors(displacement), run.scene.material)
     grid, stress_by_node = make_grid_at_rest(mesh), np.moveaxis(nodal_stresses, -2, 0)
     grid["stress"] = stress_by_node.reshape(len(stress_by_node), -1)
-    sampled_points = import_pyvista().PolyData(pad_to_space(stress_points)).sample(grid)
-    outside_indices = np.flatnonzero(np.asarray(sampled_points["vtkValidPointMask"]) == 0)
+    points_with_sampled_stress = import_pyvista().PolyData(pad_to_space(stress_points)).sample(grid)
+    outside_indices = np.flatnonzero(
+        np.asarray(points_with_sampled_stress["vtkValidPointMask"]) == 0
+    )
     if len(outside_indices):
         raise InputError("points", stress_points[outside_indices[0]].tolist(), "on the mesh")
-    point_stresses = np.reshape(sampled_points["stress"], (len(stress_points), len(time), -1))
+    point_stresses = np.reshape(
+        points_with_sampled_stress["stress"], (len(stress_points), len(time), -1)
+    )
     return time, np.moveaxis(point_stresses, 0, 1)
 
 
@@ -522,22 +536,22 @@ class PeriodFields:
         self.nodal_loads = evaluate_series(load_harmonics, solution.omega, self.time).reshape(
             self.displacement.shape
         )
-        has_global_frame_only = structure.nodes is None or structure.nodes.frames is None
-        self.has_load_arrow = bool(np.any(self.nodal_loads)) and has_global_frame_only
+        has_global_axes_at_all_nodes = structure.nodes is None or structure.nodes.frames is None
+        self.has_load_arrow = bool(np.any(self.nodal_loads)) and has_global_axes_at_all_nodes
         self.colour_field_name_and_unit = (
             ("von Mises stress", "Pa") if material else ("displacement", "m")
         )
         if self.mesh.dimension == 3 and structure.n_pairs:
             self.nodal_force_per_pair_force, self.nodal_weights_of_pair_pressures = (
-                self.mesh.pair_centre_and_pressure_matrices
+                self.mesh.pair_centres_and_pressures_at_nodes
             )
         else:
             self.nodal_force_per_pair_force = _find_nodal_force_per_pair_force(structure)
             self.nodal_weights_of_pair_pressures = self.nodal_force_per_pair_force * self.pair_areas
             nodal_area_sums = self.nodal_weights_of_pair_pressures.sum(axis=1, keepdims=True)
             # Sums at crack tips are 0 but for rounding.
-            is_rounding = nodal_area_sums <= 1e-9 * nodal_area_sums.max(initial=0.0)
-            nodal_area_sums[is_rounding] = np.inf
+            is_area_sum_only_rounding = nodal_area_sums <= 1e-9 * nodal_area_sums.max(initial=0.0)
+            nodal_area_sums[is_area_sum_only_rounding] = np.inf
             self.nodal_weights_of_pair_pressures /= nodal_area_sums
 
     @property
@@ -593,11 +607,14 @@ class PeriodFields:
         pair_forces, displacement = self.contact_forces[frame_index], self.displacement[frame_index]
         grid = make_grid_at_rest(self.mesh)
         # A node half-way between two pairs is closed if both are closed.
-        weight_sums = self.nodal_weights_of_pair_pressures.sum(axis=1)
-        is_closed = self.nodal_weights_of_pair_pressures @ (pair_forces > 0.0) > 0.501 * weight_sums
+        pair_weight_sums_at_nodes = self.nodal_weights_of_pair_pressures.sum(axis=1)
+        is_node_closed = (
+            self.nodal_weights_of_pair_pressures @ (pair_forces > 0.0)
+            > 0.501 * pair_weight_sums_at_nodes
+        )
         point_fields = {
             "displacement": pad_to_space(displacement),
-            "contact state": np.where(weight_sums > 0.0, 1.0 * is_closed, -1.0),
+            "contact state": np.where(pair_weight_sums_at_nodes > 0.0, 1.0 * is_node_closed, -1.0),
             "contact force": self.nodal_force_per_pair_force @ pair_forces,
             "contact pressure": self.nodal_weights_of_pair_pressures
             @ (pair_forces / self.pair_areas),
@@ -676,7 +693,7 @@ def write_period(
     fields = PeriodFields(solution, frames, magnification, material)
 
     def write_files() -> None:
-        check_inner_folder(collection_path.with_name(collection_path.stem))
+        check_is_no_link_or_file(collection_path.with_name(collection_path.stem))
         frame_names = [
             f"{collection_path.stem}/frame_{frame:04d}.vtu" for frame in range(len(fields.time))
         ]
@@ -750,11 +767,19 @@ def _find_nodal_force_per_pair_force(structure: Structure) -> np.ndarray:
         Size of the force at each node over the contact force, complete on every rank.
     """
     assert structure.nodes is not None
-    dofs, gap_matrix = structure.nodes.dofs, structure.gap
-    free_entry_indices = np.nonzero(dofs >= 0)
-    free_nodes, local_dofs = free_entry_indices[0], dofs[free_entry_indices] - structure.first_dof
-    dof_selection_triplets = np.ones(len(free_nodes)), (free_nodes, local_dofs)
-    node_dof_matrix = csr_matrix(dof_selection_triplets, (len(dofs), structure.n_local))
+    dof_by_node_and_axis, gap_matrix = structure.nodes.dofs, structure.gap
+    node_and_axis_indices_of_free_dofs = np.nonzero(dof_by_node_and_axis >= 0)
+    node_index_of_free_dofs, local_dofs = (
+        node_and_axis_indices_of_free_dofs[0],
+        dof_by_node_and_axis[node_and_axis_indices_of_free_dofs] - structure.first_dof,
+    )
+    dof_selection_triplets = (
+        np.ones(len(node_index_of_free_dofs)),
+        (node_index_of_free_dofs, local_dofs),
+    )
+    node_dof_matrix = csr_matrix(
+        dof_selection_triplets, (len(dof_by_node_and_axis), structure.n_local)
+    )
     return gather_rows(
         structure.comm, np.sqrt((node_dof_matrix @ gap_matrix.multiply(gap_matrix)).toarray())
     )

@@ -29,7 +29,7 @@ from fenics_crack.balance.harmonic_balance import (
     find_line_angles_and_turning,
     law_along_lines,
     motion_without_friction,
-    search_initial_orbit,
+    search_orbit_by_harmonic_balance,
     slide_along_lines,
     solve_linear,
     truncated_orbit_solution,
@@ -40,12 +40,12 @@ from fenics_crack.basics.causes import VARIED_RUN_DESCRIPTION_BY_ERROR_CAUSE
 from fenics_crack.basics.errors import InputError
 from fenics_crack.errors.convergence import GridConvergence, PartOrReason
 from fenics_crack.errors.numbers import (
-    Numbers,
+    MotionQuantities,
     choose_n_orbit_harmonics,
     compute_numbers,
     compute_orbit_values_by_name,
     find_accepted_orbit_or_none,
-    measure_changes_by_name,
+    measure_absolute_changes_by_name,
 )
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import CoulombFriction, friction_of
@@ -54,13 +54,13 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.study.prepare import SINGLE_COMPUTATION_FAILURES, Study, scene_contact_law
 
-MODE_COUNTS_FOR_FRICTION = 20, 10
+MODE_COUNTS_FOR_FRICTION_EFFECT = 20, 10
 """Numbers of modes to compute the effect of friction.
 
 The second number gives a second result, to estimate the error of the effect. With 40 modes an orbit
 takes three times as long, and ten times if the search is hard.
 """
-FRICTION_LINE_SAFETY_FACTOR = 2.0
+SLIDING_ACROSS_LINES_SAFETY_FACTOR = 2.0
 """Safety factor on the error r |f_0 - f| due to sliding across friction lines.
 
 A friction line is the direction along which a pair's friction acts. f is a quantity of the answer,
@@ -68,7 +68,7 @@ f_0 of the motion without friction; r is the ratio of sliding across the lines t
 them. Measured in seven cases, against time steps with Coulomb's cone: true errors were 0.03 to 1.2
 times the stated error.
 """
-INTENSITIES_WITHOUT_FRICTION_ERROR = ("K_II_max", "K_III_max")
+QUANTITY_NAMES_WITHOUT_FRICTION_ERROR = ("K_II_max", "K_III_max")
 """Quantities without an estimated friction error: friction at the tip itself changes K_II, K_III.
 """
 N_ORBIT_START_HARMONICS = 10
@@ -99,7 +99,7 @@ class JudgedAnswer:
         Solution to compare with further runs; the number of harmonics is the answer's. In
         :mod:`verify`, and for an answer made from an exact orbit, this is the answer itself.
         Otherwise this is a new harmonic-balance solution, found from the answer.
-    balance_numbers : Numbers
+    balance_quantities : Numbers
         Quantities of the balance solution.
     """
 
@@ -107,7 +107,7 @@ class JudgedAnswer:
     answer: PeriodicSolution
     answer_values_by_name: Mapping[str, float]
     balance_solution: PeriodicSolution
-    balance_numbers: Numbers
+    balance_quantities: MotionQuantities
 
     def compute_values_by_name(
         self, motion: PeriodicSolution | PeriodicOrbit, study: Study | None = None
@@ -117,7 +117,7 @@ class JudgedAnswer:
         ``study`` must have the motion's structure; the default is the answer's study. Quantities
         equal to zero, except for rounding, are left out.
         """
-        study, mode_number = study or self.study, self.balance_numbers.mode_number
+        study, mode_number = study or self.study, self.balance_quantities.mode_number
         if isinstance(motion, PeriodicOrbit):
             return compute_orbit_values_by_name(study, self.answer, motion, mode_number)
         return compute_numbers(study, motion, mode_number).values_by_name
@@ -149,8 +149,14 @@ class JudgedAnswer:
         PartOrReason
             Two harmonic counts, the answer's and the orbit's; and the error by quantity name.
         """
-        harmonic_counts = self.answer.harmonics, choose_n_orbit_harmonics(self.answer)
-        reciprocal_counts = 1.0 / harmonic_counts[1], 1.0 / harmonic_counts[0]
+        harmonic_counts_of_answer_and_orbit = (
+            self.answer.harmonics,
+            choose_n_orbit_harmonics(self.answer),
+        )
+        reciprocal_counts = (
+            1.0 / harmonic_counts_of_answer_and_orbit[1],
+            1.0 / harmonic_counts_of_answer_and_orbit[0],
+        )
         convergence_by_name = {}
         for name, value in self.compute_values_by_name(self.answer).items():
             orbit_value = orbit_values_by_name.get(name, 0.0)
@@ -161,7 +167,7 @@ class JudgedAnswer:
                 factor=1.0,
                 extrapolated=orbit_value,
             )
-        return harmonic_counts, convergence_by_name
+        return harmonic_counts_of_answer_and_orbit, convergence_by_name
 
     def estimate_error_by_friction(self) -> PartOrReason:
         """Estimate the error due to neglected friction (collective).
@@ -181,11 +187,11 @@ class JudgedAnswer:
         contact_law, structure = study.contact, study.structure
         if contact_law is None or not np.any(answer.contact_force(answer.instants()) > 0.0):
             return ""
-        if (friction_law := friction_of(contact_law)) is not None:
+        if (friction_law_of_answer := friction_of(contact_law)) is not None:
             return (
                 ""
-                if friction_law.direction is None
-                else self._estimate_sliding_across_lines(friction_law)
+                if friction_law_of_answer.direction is None
+                else self._estimate_sliding_across_lines(friction_law_of_answer)
             )
         contact_table = scene.given("contact")
         if contact_table.friction is not None:
@@ -197,20 +203,22 @@ class JudgedAnswer:
         tangential_structure = structure.whole.with_tangents()
         if scene.disk is not None or tangential_structure.tangential is None:
             return "the effect of friction is estimated for single plates and solids only"
-        friction_values_by_key: dict[str, Any] = {
+        scene_changes_for_friction: dict[str, Any] = {
             "contact.friction": friction_coefficient,
             "output.quantities": None,
         }
-        friction_values_by_key["harmonic_balance.form"] = "condensed"
-        if not structure.light_lips:  # faces with mass, in contact as stiff along them as across
-            friction_values_by_key["contact.tangential_stiffness_per_area"] = (
+        scene_changes_for_friction["harmonic_balance.form"] = "condensed"
+        if (
+            not structure.has_massless_crack_faces
+        ):  # faces with mass, in contact as stiff along them as across
+            scene_changes_for_friction["contact.tangential_stiffness_per_area"] = (
                 contact_table.stiffness_per_area
             )
         (orbits, values_of_orbits), (few_mode_orbits, values_of_few_mode_orbits) = (
             self._find_orbits_without_and_with_friction(
-                n_modes, tangential_structure, friction_values_by_key
+                n_modes, tangential_structure, scene_changes_for_friction
             )
-            for n_modes in MODE_COUNTS_FOR_FRICTION
+            for n_modes in MODE_COUNTS_FOR_FRICTION_EFFECT
         )
         if len(orbits) < 2:
             return (
@@ -219,31 +227,37 @@ class JudgedAnswer:
             )
         if len(few_mode_orbits) < 2:
             values_of_few_mode_orbits = values_of_orbits
-        change_by_name = measure_changes_by_name(study, *orbits)
+        change_by_name = measure_absolute_changes_by_name(study, *orbits)
         friction_coefficients, convergence_by_name = (0.0, float(friction_coefficient)), {}
         for quantity_name, value in self.answer_values_by_name.items():
-            if quantity_name in INTENSITIES_WITHOUT_FRICTION_ERROR:
+            if quantity_name in QUANTITY_NAMES_WITHOUT_FRICTION_ERROR:
                 continue
             relative_change = _relative_change(quantity_name, *values_of_orbits)
-            relative_error = abs(relative_change) + abs(
+            relative_error_of_quantity = abs(relative_change) + abs(
                 relative_change - _relative_change(quantity_name, *values_of_few_mode_orbits)
             )
             if frictionless_size := abs(values_of_orbits[0].get(quantity_name, 0.0)):
-                relative_error = max(
-                    relative_error, change_by_name.get(quantity_name, 0.0) / frictionless_size
+                relative_error_of_quantity = max(
+                    relative_error_of_quantity,
+                    change_by_name.get(quantity_name, 0.0) / frictionless_size,
                 )
             answer_and_changed_value = value, value * (1.0 + relative_change)
-            safety_factor = relative_error / abs(relative_change) if relative_change else 1.0
+            safety_factor = (
+                relative_error_of_quantity / abs(relative_change) if relative_change else 1.0
+            )
             convergence_by_name[quantity_name] = GridConvergence(
                 friction_coefficients,
                 answer_and_changed_value,
                 "two coefficients",
                 factor=safety_factor,
             )
-        return MODE_COUNTS_FOR_FRICTION[:1] * 2, convergence_by_name
+        return MODE_COUNTS_FOR_FRICTION_EFFECT[:1] * 2, convergence_by_name
 
     def _find_orbits_without_and_with_friction(
-        self, n_modes: int, whole_structure: Structure, friction_values_by_key: Mapping[str, Any]
+        self,
+        n_modes: int,
+        whole_structure: Structure,
+        scene_changes_for_friction: Mapping[str, Any],
     ) -> tuple[list[PeriodicOrbit], list[dict[str, float]]]:
         """Find exact orbits without and with friction (collective).
 
@@ -253,7 +267,7 @@ class JudgedAnswer:
             Number of kept modes; at most half the structure's dofs are kept.
         whole_structure : Structure
             Unreduced structure with tangential gaps.
-        friction_values_by_key : dict of str to object
+        scene_changes_for_friction : dict of str to object
             Changed values by scene key, for the orbit with friction.
 
         Returns
@@ -271,7 +285,7 @@ class JudgedAnswer:
         orbits, values_of_orbits = list[PeriodicOrbit](), list[dict[str, float]]()
         for unaligned_law in (
             study.contact,
-            scene_contact_law(study.scene.replace(friction_values_by_key), reduced_structure),
+            scene_contact_law(study.scene.replace(scene_changes_for_friction), reduced_structure),
         ):
             assert unaligned_law is not None
             contact_law = law_along_lines(reduced_structure, unaligned_law, lambda _: orbits[0])
@@ -310,17 +324,19 @@ class JudgedAnswer:
         frictionless_values = self.compute_values_by_name(
             frictionless_motion, replace(study, contact=friction_law.law)
         )
-        turning_ratio = find_line_angles_and_turning(frictionless_motion, friction_law.direction)[1]
+        across_to_along_sliding_ratio = find_line_angles_and_turning(
+            frictionless_motion, friction_law.direction
+        )[1]
         convergence_by_name = {}
         for quantity_name, value in self.answer_values_by_name.items():
-            value_with_turning = value + turning_ratio * (
+            value_with_turning = value + across_to_along_sliding_ratio * (
                 frictionless_values.get(quantity_name, 0.0) - value
             )
             convergence_by_name[quantity_name] = GridConvergence(
                 (0.0, 1.0),
                 (value, value_with_turning),
                 "two coefficients",
-                factor=FRICTION_LINE_SAFETY_FACTOR,
+                factor=SLIDING_ACROSS_LINES_SAFETY_FACTOR,
             )
         return (structure.n_modes, structure.n_modes), convergence_by_name
 
@@ -430,7 +446,7 @@ def solve_by_orbit_or_harmonics(
     """
     if answer_orbit is not None:
         problem = _make_solver(study, omega, n_harmonics).problem
-        orbit = search_initial_orbit(
+        orbit = search_orbit_by_harmonic_balance(
             problem, start_solution, prefer_stable=answer_orbit.is_stable
         ).orbit
         if orbit is not None:
@@ -441,8 +457,8 @@ def solve_by_orbit_or_harmonics(
     )
     if study.contact is None:
         return half_harmonics_solution
-    solver = _make_solver(study, omega, n_harmonics)
-    search_outcome, all_harmonics_solution = solver.search_and_solution(
+    balance_solver = _make_solver(study, omega, n_harmonics)
+    search_outcome, all_harmonics_solution = balance_solver.search_and_solution(
         half_harmonics_solution, with_whole_budget=False
     )
     return all_harmonics_solution if search_outcome.has_converged else half_harmonics_solution

@@ -32,9 +32,9 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.errors import InputError, check_number
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import Described
-from fenics_crack.model.matrices import floats_or_nan
+from fenics_crack.model.matrices import floats_or_single_nan
 from fenics_crack.scene.scene import Scene
 
 ASYMPTOTIC_SAFETY_FACTOR, CAUTIOUS_SAFETY_FACTOR = 1.25, 3.0
@@ -52,7 +52,7 @@ MIN_TRUSTED_CONVERGENCE_ORDER = 0.5
 """Minimum observed order with the smaller safety factor, and minimum order for extrapolation."""
 
 
-@with_old_names(is_asymptotic="has_error_from_limit")
+@keep_old_attribute_names(is_asymptotic="has_error_from_limit")
 @dataclass(frozen=True, repr=False)
 class GridConvergence(Described):
     """Hold a number's values at two or three step sizes, and the estimated error.
@@ -172,7 +172,7 @@ def grid_convergence(
     >>> order, value = convergence.order, convergence.extrapolated
     """
     check_number("formal", formal, 0.0, excludes_bound=True)
-    h, f = floats_or_nan(sizes), floats_or_nan(values)
+    h, f = floats_or_single_nan(sizes), floats_or_single_nan(values)
     if h.shape not in ((2,), (3,)) or not np.all((h > 0.0) & (h < np.inf)):
         raise InputError("sizes", sizes, "two or three finite numbers > 0")
     if len(np.unique(h)) < len(h):
@@ -251,29 +251,33 @@ def _find_observed_order(h: np.ndarray, f: np.ndarray) -> float:
     The order is negative if the values diverge with refinement. It is inf if f_1 = f_2, and -inf if
     f_2 = f_3; a root beyond the range of floats is infinite, too.
     """
-    fine_log_ratio, coarse_log_ratio = np.log(h[1] / h[0]), np.log(h[2] / h[1])
+    fine_log_size_ratio, coarse_log_size_ratio = np.log(h[1] / h[0]), np.log(h[2] / h[1])
     if f[1] == f[0] or f[2] == f[1]:
         return math.inf if f[1] == f[0] else -math.inf
-    log_ratio = math.log((f[2] - f[1]) / (f[1] - f[0]))
+    log_value_difference_ratio = math.log((f[2] - f[1]) / (f[1] - f[0]))
 
     def excess(p: float) -> float:
         """Return ln((h_3^p - h_2^p) / (h_2^p - h_1^p)) - ln((f_3 - f_2) / (f_2 - f_1))."""
         if p == 0.0:
-            return math.log(coarse_log_ratio / fine_log_ratio) - log_ratio
+            return (
+                math.log(coarse_log_size_ratio / fine_log_size_ratio) - log_value_difference_ratio
+            )
         return (
-            p * fine_log_ratio
-            + math.log(math.expm1(p * coarse_log_ratio) / math.expm1(p * fine_log_ratio))
-            - log_ratio
+            p * fine_log_size_ratio
+            + math.log(math.expm1(p * coarse_log_size_ratio) / math.expm1(p * fine_log_size_ratio))
+            - log_value_difference_ratio
         )
 
-    largest_order = (
-        0.5 * math.log(np.finfo(float).max) / max(fine_log_ratio, coarse_log_ratio)
+    max_order_without_overflow = (
+        0.5 * math.log(np.finfo(float).max) / max(fine_log_size_ratio, coarse_log_size_ratio)
     )  # else expm1 overflows
-    if excess(largest_order) < 0.0 or excess(-largest_order) > 0.0:
-        return math.copysign(math.inf, log_ratio)
+    if excess(max_order_without_overflow) < 0.0 or excess(-max_order_without_overflow) > 0.0:
+        return math.copysign(math.inf, log_value_difference_ratio)
     import scipy.optimize  # takes a while, and is needed here alone
 
-    return float(scipy.optimize.brentq(excess, -largest_order, largest_order))
+    return float(
+        scipy.optimize.brentq(excess, -max_order_without_overflow, max_order_without_overflow)
+    )
 
 
 # --- parts of a cause -----------------------------------------------------------------------------
@@ -291,7 +295,7 @@ CountAndValues = tuple[int, Mapping[str, float]]
 """A run's number of elements, modes, harmonics or samples, and values by quantity name."""
 
 
-def find_error_part_or_reason(
+def estimate_error_part_from_runs(
     cause: str,
     counts_and_values: Sequence[CountAndValues],
     scene: Scene,

@@ -37,13 +37,17 @@ from fenics_crack.basics.observables import (
 )
 from fenics_crack.basics.tables import choose_frequency_factor_name_unit
 from fenics_crack.errors.convergence import MAX_RELATIVE_ROUNDING_SPREAD
-from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, NEGLIGIBLE, bilinear_frequencies
+from fenics_crack.model.modes import (
+    FREQUENCY_KIND_NAMES,
+    STIFFNESS_SOLUTION_ROUNDING,
+    bilinear_frequencies,
+)
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import (
-    CrackFaces,
-    Harmonics,
+    CrackFaceGapsAndForces,
+    DisplacementHarmonics,
+    MotionRecord,
     ObservedMotion,
-    Record,
     dof_selection_rows,
 )
 from fenics_crack.motion.orbit import INSTANTS_PER_PERIOD, PeriodicOrbit
@@ -67,7 +71,7 @@ def find_bilinear_omega(structure: Structure, mode_number: int) -> float:
 
 
 @dataclass(frozen=True)
-class Numbers:
+class MotionQuantities:
     """Hold a motion's quantities for comparison with further motions.
 
     Attributes
@@ -88,8 +92,10 @@ class Numbers:
 
 
 def compute_numbers(
-    study: Study, motion: PeriodicSolution | TruncatedOrbit, mode_number: int | None = None
-) -> Numbers:
+    study: Study,
+    motion: PeriodicSolution | OrbitTruncatedToHarmonics,
+    mode_number: int | None = None,
+) -> MotionQuantities:
     """Compute the requested quantities and natural frequencies of a motion (collective).
 
     Quantities equal to zero, except for rounding, are left out. The natural frequencies are the
@@ -100,7 +106,7 @@ def compute_numbers(
     study : Study
         Study with the motion's structure. The quantities are the scene's ``output.quantities``; by
         default all quantities with an estimated error.
-    motion : PeriodicSolution or TruncatedOrbit
+    motion : PeriodicSolution or OrbitTruncatedToHarmonics
         Motion with the quantities.
     mode_number : int, optional
         Resonant mode, counted from 1. Default: the mode with the resonance nearest to the
@@ -109,9 +115,12 @@ def compute_numbers(
     quantity_names = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
     values_by_name: dict[str, float] = {}
     unit_by_name: dict[str, str] = {}
-    displacement_indicators = motion.indicators_of_dofs([point.dof for point in study.watched])
-    rounding_size = NEGLIGIBLE * min(  # of closed pairs
-        indicators.amplitude + abs(indicators.mean) for indicators in displacement_indicators
+    displacement_indicators = motion.indicators_of_dofs(
+        [watched_point.dof for watched_point in study.watched]
+    )
+    rounding_size = STIFFNESS_SOLUTION_ROUNDING * min(  # of closed pairs
+        indicators_of_dof.amplitude + abs(indicators_of_dof.mean)
+        for indicators_of_dof in displacement_indicators
     )
     requested_observations = (
         observation
@@ -133,7 +142,7 @@ def compute_numbers(
     resonance_name, mode_number = _add_natural_frequencies(
         study, motion.omega, mode_number, values_by_name, unit_by_name
     )
-    return Numbers(values_by_name, unit_by_name, resonance_name, mode_number)
+    return MotionQuantities(values_by_name, unit_by_name, resonance_name, mode_number)
 
 
 def _add_natural_frequencies(
@@ -226,10 +235,12 @@ def find_largest_omitted_harmonic(solution: PeriodicSolution, dof: int) -> tuple
         return None
     displacement_coefficients = orbit.coefficients(choose_n_orbit_harmonics(solution)).displacement
     dof_coefficients = solution.structure.values_at(displacement_coefficients, [dof])[:, 0]
-    harmonic_indicators = Harmonics(dof_coefficients, solution.subharmonic)
-    if not harmonic_indicators.largest_order * solution.subharmonic > solution.harmonics:
+    harmonic_indicators_of_dof = DisplacementHarmonics(dof_coefficients, solution.subharmonic)
+    if not harmonic_indicators_of_dof.largest_order * solution.subharmonic > solution.harmonics:
         return None
-    return int(harmonic_indicators.largest_order), float(harmonic_indicators.ratio_largest)
+    return int(harmonic_indicators_of_dof.largest_order), float(
+        harmonic_indicators_of_dof.ratio_largest
+    )
 
 
 def add_changes(
@@ -257,7 +268,7 @@ def choose_n_orbit_harmonics(solution: PeriodicSolution) -> int:
 
 
 @dataclass(frozen=True)
-class TruncatedOrbit(ObservedMotion):
+class OrbitTruncatedToHarmonics(ObservedMotion):
     """Observe an exact orbit through the first Fourier coefficients alone.
 
     Attributes
@@ -281,7 +292,7 @@ class TruncatedOrbit(ObservedMotion):
         """Load frequency [rad/s]."""
         return self.orbit.omega
 
-    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
+    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[MotionRecord]:
         """Yield the :class:`Record` of m signals over the orbit's period.
 
         A record has the Fourier coefficients up to the harmonic ``harmonics``.
@@ -321,14 +332,14 @@ def compute_orbit_values_by_name(
         Value by quantity name.
     """
     return compute_numbers(
-        study, TruncatedOrbit(orbit, choose_n_orbit_harmonics(solution)), mode_number
+        study, OrbitTruncatedToHarmonics(orbit, choose_n_orbit_harmonics(solution)), mode_number
     ).values_by_name
 
 
 # --- sizes of change ------------------------------------------------------------------------------
 
 
-def measure_changes_by_name(
+def measure_absolute_changes_by_name(
     study: Study, *motions: PeriodicOrbit | PeriodicSolution
 ) -> dict[str, float]:
     """Measure the size of change between two motions, for each quantity (collective).
@@ -364,23 +375,25 @@ def measure_changes_by_name(
         for motion in motions
     )
     harmonic_ratios = _complex_harmonic_ratios(record)
-    ratio_changes = np.abs(_complex_harmonic_ratios(other_record) - harmonic_ratios)
+    absolute_ratio_changes = np.abs(_complex_harmonic_ratios(other_record) - harmonic_ratios)
     largest_order_index = 2 + np.argmax(np.abs(harmonic_ratios[2:]), axis=0)
     change_by_indicator = {
         "amplitude": (other_record.row_products - record.row_products).std(axis=0),
-        "ratio_2_1": ratio_changes[2],
-        "ratio_3_1": ratio_changes[3],
-        "ratio_largest": np.take_along_axis(ratio_changes, largest_order_index[None], axis=0)[0],
-        "mean_shift": ratio_changes[2],
+        "ratio_2_1": absolute_ratio_changes[2],
+        "ratio_3_1": absolute_ratio_changes[3],
+        "ratio_largest": np.take_along_axis(
+            absolute_ratio_changes, largest_order_index[None], axis=0
+        )[0],
+        "mean_shift": absolute_ratio_changes[2],
     }
-    return _measure_face_changes_by_name(record, other_record) | {
+    return _measure_absolute_face_changes(record, other_record) | {
         point.column_name(indicator_name): float(change_at_points[point_index])
         for indicator_name, change_at_points in change_by_indicator.items()
         for point_index, point in enumerate(study.watched)
     }
 
 
-def _complex_harmonic_ratios(record: Record) -> np.ndarray:
+def _complex_harmonic_ratios(record: MotionRecord) -> np.ndarray:
     """Return complex ratios c_k of harmonics to the first harmonic: (n_harmonics, m).
 
     For harmonic k = 0, 1, ... of the load frequency, with the amplitudes U_k and phases phase_k:
@@ -397,7 +410,9 @@ def _complex_harmonic_ratios(record: Record) -> np.ndarray:
     )
 
 
-def _measure_face_changes_by_name(record: Record, other_record: Record) -> dict[str, float]:
+def _measure_absolute_face_changes(
+    record: MotionRecord, other_record: MotionRecord
+) -> dict[str, float]:
     """Measure the size of change between two motions, for quantities at crack faces.
 
     For "opening" and "crack_force" the size is the change's standard deviation over the period, the
@@ -416,21 +431,26 @@ def _measure_face_changes_by_name(record: Record, other_record: Record) -> dict[
     """
     if not record.n_pairs:
         return {}
-    crack_faces, other_crack_faces = CrackFaces(record), CrackFaces(other_record)
+    crack_faces, other_crack_faces = (
+        CrackFaceGapsAndForces(record),
+        CrackFaceGapsAndForces(other_record),
+    )
     force_change = (other_crack_faces.force - crack_faces.force) @ record.is_pair_in_crack
     contributions_by_name = _pair_contributions_by_name(record, crack_faces)
-    other_contributions_by_name = _pair_contributions_by_name(record, other_crack_faces)
+    other_motion_contributions_by_name = _pair_contributions_by_name(record, other_crack_faces)
     return {
         "opening": float((other_crack_faces.gap - crack_faces.gap).std(axis=0).max()),
         "crack_force": float(force_change.std(axis=0).max()),
         **{
-            name: float(np.abs(other_contributions_by_name[name] - pair_contributions).sum())
+            name: float(np.abs(other_motion_contributions_by_name[name] - pair_contributions).sum())
             for name, pair_contributions in contributions_by_name.items()
         },
     }
 
 
-def _pair_contributions_by_name(record: Record, crack_faces: CrackFaces) -> dict[str, np.ndarray]:
+def _pair_contributions_by_name(
+    record: MotionRecord, crack_faces: CrackFaceGapsAndForces
+) -> dict[str, np.ndarray]:
     """Return each pair's contribution (n_pairs,) to sums over contact pairs, by quantity name.
 
     "closed_share" is the fraction of the period in which the pair is closed, divided by n_pairs.

@@ -89,13 +89,13 @@ from fenics_crack.errors.convergence import (
     TIP_CONVERGENCE_ORDER,
     GridConvergence,
     PartOrReason,
-    find_error_part_or_reason,
+    estimate_error_part_from_runs,
 )
 from fenics_crack.errors.numbers import (
     add_changes,
     compute_numbers,
     find_bilinear_omega,
-    measure_changes_by_name,
+    measure_absolute_changes_by_name,
     natural_frequency_name,
 )
 from fenics_crack.errors.verification import Verification, displacement_added_by_halved_elements
@@ -116,7 +116,11 @@ from fenics_crack.study.observer import (
     make_requested_rows_and_readers,
 )
 from fenics_crack.study.prepare import SINGLE_COMPUTATION_FAILURES, Study, prepare, reduce_study
-from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find_study_resonance
+from fenics_crack.study.resonance import (
+    UNSOUGHT_RESONANCE,
+    ResonanceUnderLoad,
+    find_study_resonance,
+)
 
 ERROR_CAUSES_OF_EACH_SOLUTION = (*REDUCED_STRUCTURE_ERROR_CAUSES, "friction")
 """Causes of error that a command estimates for each solution."""
@@ -126,7 +130,7 @@ HARMONIC_COUNT_FACTORS = 2, 4
 The second run is made only if the answer's error report has a truncation error above
 :data:`LARGE_ERROR`, 5 %.
 """
-MIN_EXTRAPOLATED_RESONANCES, MAX_EXTRAPOLATED_RESONANCES = 3, 8
+MIN_TRIED_RESONANCE_SHIFTS, MAX_TRIED_RESONANCE_SHIFTS = 3, 8
 """Minimum and maximum number of extrapolated resonances w_e tried for the shift error."""
 MAX_MODES_FOR_MESH_ERROR = 50
 """Maximum number of modes in the runs for a mesh error.
@@ -134,7 +138,7 @@ MAX_MODES_FOR_MESH_ERROR = 50
 With 120 modes the breathing plate's orbits take 14 times as long; the mesh error changes by less
 than the modal error.
 """
-MESH_ERROR_CANCELLATION_FRACTION = 0.1
+ADDED_FRACTION_OF_SMALLER_MESH_ERROR = 0.1
 """Fraction of the smaller error, shape or shift, added as uncertainty: both may cancel."""
 Motion = PeriodicOrbit | PeriodicSolution
 """Motion with quantities to compare: an exact orbit or a harmonic-balance solution."""
@@ -185,10 +189,14 @@ def _estimate_run_up_errors(
     is_peak : bool
         True if the solution is the curve's peak and moves with the resonance.
     """
-    speed, detuning_per_speed = structure.speed, 1.0 - structure.stiffening(solution.omega)
-    values_by_key = {"rotation.speed": speed, "excitation.omega": solution.omega, "curve": None}
+    speed, detuning_per_speed = structure.speed, 1.0 - structure.stiffening_exponent(solution.omega)
+    changed_scene_values_by_key = {
+        "rotation.speed": speed,
+        "excitation.omega": solution.omega,
+        "curve": None,
+    }
     fixed_speed_study = prepare(
-        study.scene.replace(values_by_key), structure.whole.comm, like=study
+        study.scene.replace(changed_scene_values_by_key), structure.whole.comm, like=study
     )
     fixed_speed_solution = solve_without_stability(
         fixed_speed_study, solution.omega, solution.harmonics, solution
@@ -228,7 +236,7 @@ def _estimate_run_up_errors(
 def estimate_frequency_mesh_errors(
     study: Study,
     omega_by_kind: Mapping[str, np.ndarray],
-    load_resonance: LoadResonance = UNSOUGHT_RESONANCE,
+    load_resonance: ResonanceUnderLoad = UNSOUGHT_RESONANCE,
     squared_omega_slopes: np.ndarray | None = None,
 ) -> Verification:
     """Estimate mesh errors of natural frequencies and the load's resonance (collective).
@@ -242,7 +250,7 @@ def estimate_frequency_mesh_errors(
         Study with the unreduced structure.
     omega_by_kind : dict of str to (m,) [rad/s]
         Natural frequencies with "open" and "tied" (bonded) crack faces.
-    load_resonance : LoadResonance
+    load_resonance : ResonanceUnderLoad
         Resonance under the load on the same structure. Frequency and amplitude at resonance
         (``load_resonance.numbers``) are included in the result.
     squared_omega_slopes : (m,), optional
@@ -280,7 +288,7 @@ def estimate_frequency_mesh_errors(
                 coarse_study, coarse_bilinear.omega_bilinear, squared_omega_slopes
             ).numbers
         counts_and_values = zip(element_counts, (values_by_name, coarse_mesh_values), strict=True)
-        return find_error_part_or_reason(
+        return estimate_error_part_from_runs(
             "mesh", [*counts_and_values], scene, size_ratio=length_ratio
         )
 
@@ -326,7 +334,7 @@ def estimate_solution_errors(
         return replace(verification, unknown=reason_by_cause)
     if answer.report.unknown:  # other runs may agree by chance
         return verification.with_unknown("harmonics", describe_unknown_error_part(answer.report))
-    balance_solution, balance_numbers = answer, numbers
+    balance_solution, balance_quantities = answer, numbers
     if answer.orbit is None:
         try:
             balance_solution = solve_without_stability(
@@ -335,9 +343,9 @@ def estimate_solution_errors(
         except SINGLE_COMPUTATION_FAILURES as error:
             reason_text = describe_failed_run("harmonic balance from this solution", error)
             return verification.with_unknown("harmonics", reason_text)
-        balance_numbers = compute_numbers(study, balance_solution, numbers.mode_number)
+        balance_quantities = compute_numbers(study, balance_solution, numbers.mode_number)
     judged_answer = AnswerJudgedByExtraRuns(
-        study, answer, numbers.values_by_name, balance_solution, balance_numbers, is_peak
+        study, answer, numbers.values_by_name, balance_solution, balance_quantities, is_peak
     )
     return add_error_parts(
         verification,
@@ -385,8 +393,8 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
 
         By assumption the added modes remove the fraction s of the truncation error. So the error is
         the quantity's change, divided by s. A quantity may stay nearly equal by chance. If the
-        motion's size of change (:func:`measure_changes_by_name`) is larger than the quantity's
-        change, the larger value counts.
+        motion's size of change (:func:`measure_absolute_changes_by_name`) is larger than the
+        quantity's change, the larger value counts.
 
         With few harmonics, modes above the highest harmonic seem static. If both motions have few
         harmonics, the error is therefore at least the error due to harmonics.
@@ -406,46 +414,51 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         base_motion, motion_with_more_modes = self._find_motions_with_kept_and_more_modes(
             larger_study
         )
-        is_truncated = isinstance(motion_with_more_modes, PeriodicSolution)
-        base_values = None if is_truncated else self.orbit_values_by_name
+        has_truncated_harmonics = isinstance(motion_with_more_modes, PeriodicSolution)
+        base_values = None if has_truncated_harmonics else self.orbit_values_by_name
         values_with_more_modes = add_changes(
-            self.balance_numbers.values_by_name,
+            self.balance_quantities.values_by_name,
             base_values or self.compute_values_by_name(base_motion),
             self.compute_values_by_name(motion_with_more_modes, larger_study),
         )
-        min_change_by_name = measure_changes_by_name(
+        change_lower_bound_by_name = measure_absolute_changes_by_name(
             self.study, base_motion, motion_with_more_modes
         )
         if (
-            is_truncated
+            has_truncated_harmonics
             and self._can_search_massless_orbits
             and not isinstance(self.harmonics_error_part_or_reason, str)
         ):
             for quantity_name, convergence in self.harmonics_error_part_or_reason[1].items():
-                min_change = structure.share * convergence.uncertainty(-1)
-                min_change_by_name[quantity_name] = max(
-                    min_change_by_name.get(quantity_name, 0.0), min_change
+                change_lower_bound = (
+                    structure.error_share_removed_by_reference * convergence.uncertainty(-1)
+                )
+                change_lower_bound_by_name[quantity_name] = max(
+                    change_lower_bound_by_name.get(quantity_name, 0.0), change_lower_bound
                 )
         mode_counts = (len(structure.omega), len(structure_with_more_modes.omega))
-        size_ratio = 1.0 - structure.share
+        remaining_error_fraction = 1.0 - structure.error_share_removed_by_reference
         counts_and_values = zip(
-            mode_counts, (self.balance_numbers.values_by_name, values_with_more_modes), strict=True
+            mode_counts,
+            (self.balance_quantities.values_by_name, values_with_more_modes),
+            strict=True,
         )
-        _, convergence_by_name = find_error_part_or_reason(
+        _, convergence_by_name = estimate_error_part_from_runs(
             "modes",
             [*counts_and_values],
             self.study.scene,
-            size_ratio=max(size_ratio, MAX_RELATIVE_ROUNDING_SPREAD),
+            size_ratio=max(remaining_error_fraction, MAX_RELATIVE_ROUNDING_SPREAD),
         )
-        for quantity_name, min_change in min_change_by_name.items():
+        for quantity_name, change_lower_bound in change_lower_bound_by_name.items():
             error = (
                 convergence_by_name[quantity_name].uncertainty(-1)
                 if quantity_name in convergence_by_name
                 else 0.0
             )
-            if 0.0 < error < min_change / structure.share:
+            if 0.0 < error < change_lower_bound / structure.error_share_removed_by_reference:
                 convergence_by_name[quantity_name] = replace(
-                    convergence_by_name[quantity_name], factor=min_change / structure.share / error
+                    convergence_by_name[quantity_name],
+                    factor=change_lower_bound / structure.error_share_removed_by_reference / error,
                 )
         return mode_counts, convergence_by_name
 
@@ -480,13 +493,13 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
                 if has_few_harmonics
                 else larger_assessment.orbit
             ):
-                return larger_assessment.nearest_orbit, motion
+                return larger_assessment.orbit_with_fewer_modes, motion
         if self._can_search_massless_orbits and balance_solution.harmonics < min_harmonics:
             balance_solution = solve_without_stability(
                 self.study, balance_solution.omega, min_harmonics, balance_solution
             )
         start_solution = (
-            balance_solution if self.study.structure.light_lips else None
+            balance_solution if self.study.structure.has_massless_crack_faces else None
         )  # else it has other coordinates
         return balance_solution, solve_without_stability(
             larger_study, balance_solution.omega, balance_solution.harmonics, start_solution
@@ -495,7 +508,10 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     @property
     def _can_search_massless_orbits(self) -> bool:
         """True if crack faces have no mass, and a search for exact orbits does not take long."""
-        return self.answer.assessment.can_search_orbit and self.study.structure.light_lips
+        return (
+            self.answer.assessment.can_search_orbit
+            and self.study.structure.has_massless_crack_faces
+        )
 
     def estimate_error_by_harmonics(self) -> PartOrReason:
         """Estimate the error due to truncated harmonics (collective).
@@ -521,20 +537,29 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             return HARMONICS_NOT_VARIED_REASON
         if self.orbit_values_by_name is not None:
             return self.estimate_harmonics_error_by_orbit(self.orbit_values_by_name)
-        n_harmonics = self.balance_solution.harmonics
+        n_harmonics_of_answer = self.balance_solution.harmonics
         solution = self.balance_solution
         convergences_of_factors = []
         n_runs = 2 if self.answer.report.truncation > LARGE_ERROR else 1
-        for factor in HARMONIC_COUNT_FACTORS[:n_runs]:
+        for harmonic_count_factor in HARMONIC_COUNT_FACTORS[:n_runs]:
             solution = solve_without_stability(
-                self.study, self.balance_solution.omega, factor * n_harmonics, solution
+                self.study,
+                self.balance_solution.omega,
+                harmonic_count_factor * n_harmonics_of_answer,
+                solution,
             )
             counts_and_values = (
-                (n_harmonics, self.balance_numbers.values_by_name),
-                (factor * n_harmonics, self.compute_values_by_name(solution)),
+                (n_harmonics_of_answer, self.balance_quantities.values_by_name),
+                (
+                    harmonic_count_factor * n_harmonics_of_answer,
+                    self.compute_values_by_name(solution),
+                ),
             )
-            _, convergence_by_name = find_error_part_or_reason(
-                "harmonics", counts_and_values, self.study.scene, size_ratio=1.0 / factor
+            _, convergence_by_name = estimate_error_part_from_runs(
+                "harmonics",
+                counts_and_values,
+                self.study.scene,
+                size_ratio=1.0 / harmonic_count_factor,
             )
             convergences_of_factors.append(convergence_by_name)
         select_largest_uncertainty = partial(max, key=methodcaller("uncertainty"))
@@ -542,7 +567,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             name: select_largest_uncertainty(
                 convergence_by_name[name] for convergence_by_name in convergences_of_factors
             )
-            for name in self.balance_numbers.values_by_name
+            for name in self.balance_quantities.values_by_name
         }
         if "closed_share" in convergence_by_name:
             convergence = convergence_by_name[
@@ -554,7 +579,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             convergence_by_name["closed_share"] = replace(
                 convergence, extrapolated=convergence.values[-1] + error
             )
-        return (n_harmonics, 2 * n_harmonics), convergence_by_name
+        return (n_harmonics_of_answer, 2 * n_harmonics_of_answer), convergence_by_name
 
     def estimate_error_by_mesh(self) -> PartOrReason:
         """Estimate the error due to the mesh from a coarser mesh, with few modes (collective).
@@ -574,13 +599,20 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             return part_or_reason
         element_counts, few_mode_convergence_by_name = part_or_reason
         convergence_by_name = {}
-        for quantity_name, value in self.balance_numbers.values_by_name.items():
+        for quantity_name, value in self.balance_quantities.values_by_name.items():
             if (convergence := few_mode_convergence_by_name.get(quantity_name)) is None:
                 continue
-            value_change = value - few_modes_answer.balance_numbers.values_by_name[quantity_name]
-            value_pair = convergence.values[0] + value_change, convergence.values[1] + value_change
+            value_change_from_few_modes = (
+                value - few_modes_answer.balance_quantities.values_by_name[quantity_name]
+            )
+            value_pair = (
+                convergence.values[0] + value_change_from_few_modes,
+                convergence.values[1] + value_change_from_few_modes,
+            )
             convergence_by_name[quantity_name] = replace(
-                convergence, values=value_pair, extrapolated=convergence.extrapolated + value_change
+                convergence,
+                values=value_pair,
+                extrapolated=convergence.extrapolated + value_change_from_few_modes,
             )
         return element_counts, convergence_by_name
 
@@ -601,12 +633,17 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             replace(study, scene=scene, structure=structure.whole), with_reference=False
         )
         start_solution = (
-            self.balance_solution if structure.light_lips else None
+            self.balance_solution if structure.has_massless_crack_faces else None
         )  # else it has other coordinates
         balance_solution = self._solve_run(study, self.balance_solution.omega, start_solution)
-        balance_numbers = compute_numbers(study, balance_solution, self.balance_numbers.mode_number)
+        balance_quantities = compute_numbers(
+            study, balance_solution, self.balance_quantities.mode_number
+        )
         return replace(
-            self, study=study, balance_solution=balance_solution, balance_numbers=balance_numbers
+            self,
+            study=study,
+            balance_solution=balance_solution,
+            balance_quantities=balance_quantities,
         )
 
     def _estimate_error_by_coarser_mesh(self) -> PartOrReason:
@@ -634,56 +671,65 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             return coarse_study_or_reason
         coarse_study, element_counts, length_ratio = coarse_study_or_reason
         coarse_study = _without_refused_stress_intensities(coarse_study)
-        shifted_mode_number = self._find_mode_with_strongest_shift()
-        resonance_ratio = find_bilinear_omega(coarse_study.structure, shifted_mode_number)
-        resonance_ratio /= find_bilinear_omega(study.structure, shifted_mode_number)
+        most_influential_mode_number = self._find_mode_affecting_answer_most()
+        resonance_ratio = find_bilinear_omega(coarse_study.structure, most_influential_mode_number)
+        resonance_ratio /= find_bilinear_omega(study.structure, most_influential_mode_number)
         coarse_solution = self._solve_run(coarse_study, balance_solution.omega * resonance_ratio)
         coarse_mesh_values = self.compute_values_by_name(coarse_solution, coarse_study)
         counts_and_values = zip(
-            element_counts, (self.balance_numbers.values_by_name, coarse_mesh_values), strict=True
+            element_counts,
+            (self.balance_quantities.values_by_name, coarse_mesh_values),
+            strict=True,
         )
-        _, convergence_by_name = find_error_part_or_reason(
+        _, convergence_by_name = estimate_error_part_from_runs(
             "mesh", [*counts_and_values], study.scene, size_ratio=length_ratio
         )
-        convergence_orders = 2.0 * study.scene.mesh.order, TIP_CONVERGENCE_ORDER
+        assumed_convergence_orders = 2.0 * study.scene.mesh.order, TIP_CONVERGENCE_ORDER
         end_factors = tuple(
             1.0 / (length_ratio**convergence_order - 1.0)
-            for convergence_order in convergence_orders
+            for convergence_order in assumed_convergence_orders
         )
         relative_shift_range = abs(1.0 - resonance_ratio) * (end_factors[1] - end_factors[0])
         extrapolation_factors = np.linspace(
             *end_factors,
-            self._count_extrapolated_resonances(relative_shift_range, shifted_mode_number),
+            self._choose_n_tried_resonance_shifts(
+                relative_shift_range, most_influential_mode_number
+            ),
         )
         values_at_shifts = self._compute_values_at_resonance_shifts(
             extrapolation_factors * (1.0 - resonance_ratio)
         )
         values_with_shifted_clearance = self._compute_values_with_shifted_clearance()
-        relative_increase_by_name = dict.fromkeys(
+        relative_increase_by_halving = dict.fromkeys(
             observable_names(Place.WATCHED_POINT), self._relative_amplitude_added_by_halving
         )
-        closed_front_error_by_name, front_change_by_name = estimate_closed_front_and_mesh_errors(
-            study, balance_solution, coarse_study, coarse_solution
+        K_I_error_at_closed_front_by_name, K_change_along_front_by_name = (
+            estimate_closed_front_and_mesh_errors(
+                study, balance_solution, coarse_study, coarse_solution
+            )
         )
         for quantity_name, convergence in convergence_by_name.items():
             value, coarse_mesh_value = convergence.values
-            shape_errors = extrapolation_factors * (value - coarse_mesh_value)
-            shift_errors = (
+            errors_without_resonance_shift = extrapolation_factors * (value - coarse_mesh_value)
+            errors_by_resonance_shift = (
                 np.array(
                     [values_by_name.get(quantity_name, 0.0) for values_by_name in values_at_shifts]
                 )
                 - value
             )
-            smaller_error_part = np.minimum(np.abs(shape_errors), np.abs(shift_errors)).max()
+            smaller_error_part = np.minimum(
+                np.abs(errors_without_resonance_shift), np.abs(errors_by_resonance_shift)
+            ).max()
             error = math.hypot(
-                np.abs(shape_errors + shift_errors).max(),
-                MESH_ERROR_CANCELLATION_FRACTION * smaller_error_part,
+                np.abs(errors_without_resonance_shift + errors_by_resonance_shift).max(),
+                ADDED_FRACTION_OF_SMALLER_MESH_ERROR * smaller_error_part,
                 values_with_shifted_clearance.get(quantity_name, value) - value,
-                closed_front_error_by_name.get(quantity_name, 0.0),
-                relative_increase_by_name.get(quantity_name, 0.0) * value,
+                K_I_error_at_closed_front_by_name.get(quantity_name, 0.0),
+                relative_increase_by_halving.get(quantity_name, 0.0) * value,
             )
             error = max(
-                error, front_change_by_name.get(quantity_name, 0.0) * extrapolation_factors.max()
+                error,
+                K_change_along_front_by_name.get(quantity_name, 0.0) * extrapolation_factors.max(),
             )
             convergence_by_name[quantity_name] = replace(convergence, extrapolated=value + error)
         return element_counts, convergence_by_name
@@ -724,17 +770,19 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             For each shift, the values by quantity name.
         """
         if self.is_peak:
-            return [self.balance_numbers.values_by_name] * len(relative_shifts)
+            return [self.balance_quantities.values_by_name] * len(relative_shifts)
         load_omegas = self.balance_solution.omega / (1.0 + relative_shifts)
         solutions = (self._solve_run(self.study, float(load_omega)) for load_omega in load_omegas)
         return [self.compute_values_by_name(solution) for solution in solutions]
 
-    def _count_extrapolated_resonances(self, relative_shift_range: float, mode_number: int) -> int:
+    def _choose_n_tried_resonance_shifts(
+        self, relative_shift_range: float, mode_number: int
+    ) -> int:
         """Choose how many resonance frequencies to try in a range of shifts.
 
         Neighbouring frequencies are at most a quarter of the peak's half-power width apart. But the
-        number is at least :data:`MIN_EXTRAPOLATED_RESONANCES`, 3, and at most
-        :data:`MAX_EXTRAPOLATED_RESONANCES`, 8.
+        number is at least :data:`MIN_TRIED_RESONANCE_SHIFTS`, 3, and at most
+        :data:`MAX_TRIED_RESONANCE_SHIFTS`, 8.
 
         Parameters
         ----------
@@ -752,15 +800,18 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         natural_omega = math.sqrt(
             max(modal_properties.squares[mode_number - 1], sys.float_info.min)
         )
-        n_steps = math.ceil(
+        n_intervals_between_shifts = math.ceil(
             4.0
             * relative_shift_range
             * natural_omega
             / max(damping_rates[mode_number - 1], MAX_RELATIVE_ROUNDING_SPREAD * natural_omega)
         )
-        return min(max(1 + n_steps, MIN_EXTRAPOLATED_RESONANCES), MAX_EXTRAPOLATED_RESONANCES)
+        return min(
+            max(1 + n_intervals_between_shifts, MIN_TRIED_RESONANCE_SHIFTS),
+            MAX_TRIED_RESONANCE_SHIFTS,
+        )
 
-    def _find_mode_with_strongest_shift(self) -> int:
+    def _find_mode_affecting_answer_most(self) -> int:
         """Find the mode with the most influential resonance shift at watched points (collective).
 
         Return the mode's number, from 1. Let w be the load frequency, w_j the bilinear frequency of
@@ -768,14 +819,16 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         about 2 U_k / |1 - (k w / w_j)^2| times the shift. The largest factor selects the mode.
         """
         balance_solution = self.balance_solution
-        coefficient_rows = balance_solution.coefficients_at(
+        watched_point_coefficients = balance_solution.coefficients_at(
             [point.dof for point in self.study.watched]
         )
-        harmonic_amplitudes = np.hypot(coefficient_rows[1::2], coefficient_rows[2::2]).max(axis=1)
+        harmonic_amplitudes = np.hypot(
+            watched_point_coefficients[1::2], watched_point_coefficients[2::2]
+        ).max(axis=1)
         harmonic_orders = np.arange(1, balance_solution.harmonics + 1)
-        bilinear_omega = bilinear_frequencies(self.study.structure).omega_bilinear
+        bilinear_omega_of_modes = bilinear_frequencies(self.study.structure).omega_bilinear
         resonance_distances = np.abs(
-            1.0 - (harmonic_orders * balance_solution.omega / bilinear_omega[:, None]) ** 2
+            1.0 - (harmonic_orders * balance_solution.omega / bilinear_omega_of_modes[:, None]) ** 2
         )
         return (
             int(
@@ -824,17 +877,20 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         is_closed_at_times = balance_solution.contact_force(times) > 0.0
         clearance_shifts = np.zeros(len(crack_index_of_pairs))
         for crack_index in np.unique(crack_index_of_pairs):
-            is_of_crack = crack_index_of_pairs == crack_index
-            closed_shares = is_closed_at_times[:, is_of_crack].mean(axis=0)
-            crack_gap_samples = gap_samples[:, is_of_crack]
-            extreme_gaps = (
+            is_pair_of_crack = crack_index_of_pairs == crack_index
+            closed_share_of_pairs = is_closed_at_times[:, is_pair_of_crack].mean(axis=0)
+            crack_gap_samples = gap_samples[:, is_pair_of_crack]
+            extreme_gap_of_pairs = (
                 crack_gap_samples.min(axis=0)
-                if closed_shares.all()
+                if closed_share_of_pairs.all()
                 else crack_gap_samples.max(axis=0)
             )
-            n_pairs_along_crack = is_of_crack.sum() ** (1.0 / (study.scene.dimension - 1))
-            clearance_shifts[is_of_crack] = (
-                0.5 * np.ptp(extreme_gaps) / n_pairs_along_crack * np.ptp(closed_shares)
+            n_pairs_along_crack = is_pair_of_crack.sum() ** (1.0 / (study.scene.dimension - 1))
+            clearance_shifts[is_pair_of_crack] = (
+                0.5
+                * np.ptp(extreme_gap_of_pairs)
+                / n_pairs_along_crack
+                * np.ptp(closed_share_of_pairs)
             )
         shifted_study = replace(study, structure=study.structure.varied(clearance=clearance_shifts))
         solution = self._solve_run(shifted_study, balance_solution.omega, balance_solution)
@@ -849,7 +905,9 @@ def _without_refused_stress_intensities(study: Study) -> Study:
     try:
         make_requested_rows_and_readers(study)
     except InputError:
-        refused_names = observable_names(Place.MOST_LOADED_TIP, Place.ELLIPSE_ENDS)
+        refused_names = observable_names(
+            Place.MOST_LOADED_TIP, Place.DEEPEST_PLACE_AND_ELLIPSE_ENDS
+        )
         kept_names = [name for name in study.scene.quantities or () if name not in refused_names]
         return replace(study, scene=study.scene.replace({"output.quantities": kept_names or None}))
     return study

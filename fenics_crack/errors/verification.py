@@ -20,7 +20,7 @@ from fenics_crack.basics.causes import (
 )
 from fenics_crack.basics.errors import DEFAULT_ERROR_TOLERANCE, check_choice
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import (
     Conclusion,
     Table,
@@ -32,7 +32,7 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.errors.convergence import GridConvergence, PartOrReason
 from fenics_crack.files.codec import Datasets, dataclass_from_json, to_json_text
-from fenics_crack.files.store import SavedResult, StoredFile
+from fenics_crack.files.store import SavableResult, StoredFile
 from fenics_crack.scene.scene import Scene
 
 CONVERGENCE_DOUBT_BY_BEHAVIOUR = {
@@ -63,7 +63,7 @@ ERROR_SOURCE_BY_BEHAVIOUR = {
 # --- the result -----------------------------------------------------------------------------------
 
 
-@with_old_names(
+@keep_old_attribute_names(
     dents="point_force_warnings",
     incomplete="incomplete_error_notes",
     left_out="omitted_causes_and_reasons_text",
@@ -72,7 +72,7 @@ ERROR_SOURCE_BY_BEHAVIOUR = {
     without="omitted_causes_text",
 )
 @dataclass(frozen=True, repr=False)
-class Verification(SavedResult):
+class Verification(SavableResult):
     """Hold the contributions by cause to the errors of a scene's result.
 
     Attributes
@@ -211,10 +211,10 @@ class Verification(SavedResult):
         first. If the causes are ``independent``, the total is the root of the sum of squares;
         otherwise the sum.
         """
-        contributions_of_causes = self._contributions_with_whole_mesh(quantity).values()
+        contributions_of_causes = self._contributions_merging_mesh_causes(quantity).values()
         return math.hypot(*contributions_of_causes) if independent else sum(contributions_of_causes)
 
-    def _contributions_with_whole_mesh(self, quantity: str) -> dict[str, float]:
+    def _contributions_merging_mesh_causes(self, quantity: str) -> dict[str, float]:
         """Return a quantity's uncertainty by cause, with "mesh" and "shift" added up as "mesh"."""
         contribution_by_cause = self.contributions(quantity)
         mesh_contributions = [
@@ -278,7 +278,7 @@ class Verification(SavedResult):
             cause in self.unknown for cause in (*REQUIRED_ERROR_CAUSES, *self.failed_causes)
         )
         contribution_by_cause = (
-            self._contributions_with_whole_mesh(quantity) if quantity in self.values else {}
+            self._contributions_merging_mesh_causes(quantity) if quantity in self.values else {}
         )
         if not contribution_by_cause or is_unknown:
             return math.nan, ""
@@ -345,18 +345,18 @@ class Verification(SavedResult):
                 for error in absolute_errors
             ]
             mesh_convergence_by_name = self.parts.get("mesh", {})
-            mesh_order = (
+            observed_mesh_order = (
                 mesh_convergence_by_name[quantity_name].order
                 if quantity_name in mesh_convergence_by_name
                 else math.nan
             )
-            quantity_heading = heading_with_unit(quantity_name, self.units[quantity_name])
+            quantity_name_with_unit = heading_with_unit(quantity_name, self.units[quantity_name])
             table_rows.append(
                 [
-                    quantity_heading,
+                    quantity_name_with_unit,
                     value,
                     *error_percents,
-                    round(mesh_order, 2),
+                    round(observed_mesh_order, 2),
                     self.extrapolated(quantity_name),
                 ]
             )
@@ -374,8 +374,11 @@ class Verification(SavedResult):
         without a meaning are nan.
         """
         rows = [row for name in self.values for row in self._yield_cause_rows(name)]
-        keys = dict.fromkeys(key for row in rows for key in row)
-        return {key: [row.get(key, math.nan) for row in rows] for key in keys}
+        column_headings = dict.fromkeys(column_heading for row in rows for column_heading in row)
+        return {
+            column_heading: [row.get(column_heading, math.nan) for row in rows]
+            for column_heading in column_headings
+        }
 
     def _yield_cause_rows(self, quantity_name: str) -> Iterator[dict[str, Any]]:
         """Yield a quantity's rows for :meth:`to_dict`: a row per cause, then "total" and "sum".
@@ -390,20 +393,20 @@ class Verification(SavedResult):
                 "behaviour": convergence.behaviour,
             }
             row |= {
-                f"{key}_{count_number}": math.nan
+                f"{key}_{run_number}": math.nan
                 for key in ("count", "value")
-                for count_number in (1, 2, 3)
+                for run_number in (1, 2, 3)
             }
-            row |= {f"count_{count_number}": count for count_number, count in enumerate(counts, 1)}
+            row |= {f"count_{run_number}": count for run_number, count in enumerate(counts, 1)}
             value_by_count = dict(
                 zip(sorted(counts, reverse=True), convergence.values, strict=True)
             )
             row |= {
-                f"value_{count_number}": value_by_count[count]
-                for count_number, count in enumerate(counts, 1)
+                f"value_{run_number}": value_by_count[count]
+                for run_number, count in enumerate(counts, 1)
             }
-            attribute_names = "order", "exponent", "factor", "extrapolated"
-            row |= {key: getattr(convergence, key) for key in attribute_names} | {
+            convergence_attribute_names = "order", "exponent", "factor", "extrapolated"
+            row |= {key: getattr(convergence, key) for key in convergence_attribute_names} | {
                 "gci_finest": convergence.gci
             }
             yield row | _make_uncertainty_entries(
@@ -434,27 +437,31 @@ class Verification(SavedResult):
         the error is in doubt, the reason stands in place of error and cause.
         """
         quantity_name = next(iter(self.values))
-        quantity_text = getattr(
+        quantity_words = getattr(
             OBSERVABLES_BY_NAME.get(quantity_name.rpartition(".")[2]), "words", quantity_name
         )
         error, cause = self.stated(quantity_name)
-        value_text = (
-            f"{quantity_text} "
+        quantity_and_value_text = (
+            f"{quantity_words} "
             f"{format_quantity(self.values[quantity_name], self.units[quantity_name])}"
         )
         answer_text = (
-            f"{value_text} within {format_error(error)}, factors of safety included, mostly due "
+            f"{quantity_and_value_text} within {format_error(error)}, factors of safety "
+            "included, mostly due "
             f"to the {cause}"
         )
         if math.isnan(error):
-            answer_text = f"{value_text}; no refinement changes this number"
+            answer_text = f"{quantity_and_value_text}; no refinement changes this number"
         doubt_text = self.doubt(quantity_name)
-        verdict_texts = (f"{run_name}: {verdict}" for run_name, verdict in self.verdicts.items())
+        stability_verdict_texts = (
+            f"{run_name}: {stability_verdict}"
+            for run_name, stability_verdict in self.verdicts.items()
+        )
         return Conclusion(
             "verified",
-            value_text if doubt_text else answer_text,
+            quantity_and_value_text if doubt_text else answer_text,
             doubt_text,
-            [self.omitted_causes_text, *verdict_texts],
+            [self.omitted_causes_text, *stability_verdict_texts],
         )
 
     # --- words ------------------------------------------------------------------------------------
@@ -498,8 +505,9 @@ class Verification(SavedResult):
         sentences += self.incomplete_error_notes
         sentences += [f"a run failed, with {failure_text}" for failure_text in self.failures]
         sentences += [
-            f"the orbit with {run_name} is {verdict}; fenics-crack curve shows other vibrations"
-            for run_name, verdict in self.verdicts.items()
+            f"the orbit with {run_name} is {stability_verdict}; fenics-crack curve shows other "
+            "vibrations"
+            for run_name, stability_verdict in self.verdicts.items()
         ]
         for cause, convergence_by_quantity in self.parts.items():
             for behaviour, doubt_text in CONVERGENCE_DOUBT_BY_BEHAVIOUR.items():
@@ -556,14 +564,14 @@ class Verification(SavedResult):
             or not amplitude_increase > DEFAULT_ERROR_TOLERANCE * amplitude > 0.0
         ):
             return ()
-        growth_text, side_text = (
+        displacement_growth_text, suggested_load_place_text = (
             ("log(1/h)", "an edge") if scene.dimension == 2 else ("1/h", "a face")
         )
         return (
             "amplitude: under a force at a point the displacement has no limit for the element "
-            f"length h -> 0; it grows like {growth_text}, by about "
+            f"length h -> 0; it grows like {displacement_growth_text}, by about "
             f"{format_percent(amplitude_increase / amplitude)} with elements half as long; observe "
-            f"another place (output.points), or load {side_text} ([[loads]])",
+            f"another place (output.points), or load {suggested_load_place_text} ([[loads]])",
         )
 
     def _is_contribution_relevant(self, quantity_name: str, cause: str) -> bool:
@@ -579,16 +587,16 @@ class Verification(SavedResult):
     def _describe_error(self, quantity_name: str) -> str:
         """Describe a quantity's value, uncertainty and largest cause in a sentence."""
         contribution_by_cause = self.contributions(quantity_name)
-        error_text = (
+        quantity_and_value_text = (
             f"{quantity_name} = {self.values[quantity_name]:.5g} {self.units[quantity_name]}"
         ).rstrip()
         if not any(contribution_by_cause.values()):
-            return f"{error_text}: no refinement changes this number"
-        relative_errors = (
+            return f"{quantity_and_value_text}: no refinement changes this number"
+        relative_total_and_sum = (
             self.relative(quantity_name, self.total(quantity_name, independent=is_independent))
             for is_independent in (True, False)
         )
-        total_text, sum_text = map(format_percent, relative_errors)
+        total_text, sum_text = map(format_percent, relative_total_and_sum)
         largest_cause = max(
             contribution_by_cause, key=lambda part_cause: contribution_by_cause[part_cause]
         )
@@ -599,7 +607,8 @@ class Verification(SavedResult):
             else ERROR_SOURCE_BY_BEHAVIOUR.get(largest_convergence.behaviour, "no observed order")
         )
         return (
-            f"{error_text} +- {total_text} (sum of all: {sum_text}), mostly due to the "
+            f"{quantity_and_value_text} +- {total_text} (sum of all: {sum_text}), mostly due to "
+            "the "
             f"{largest_cause}, {order_text}; extrapolated {self.extrapolated(quantity_name):.5g}"
         )
 
@@ -612,7 +621,7 @@ def read_verification_or_none(result_file: StoredFile) -> Verification | None:
     InputError
         The stored verification does not fit the scene or the format.
     """
-    with result_file.yield_checked_datasets() as datasets_by_name:
+    with result_file.yield_datasets_with_valid_numbers() as datasets_by_name:
         if "verification" not in datasets_by_name:
             return None
         verification = dataclass_from_json(
@@ -638,7 +647,11 @@ def displacement_added_by_halved_elements(scene: Scene) -> float:
     load = scene.excitation if scene.excitation.first_force_key else next(iter(point_loads), None)
     if load is None or scene.structure is not None:
         return 0.0
-    mesh_table, side_lengths, thickness = scene.mesh, scene.geometry.sides, scene.geometry.thickness
+    mesh_table, body_side_lengths, thickness = (
+        scene.mesh,
+        scene.geometry.sides,
+        scene.geometry.thickness,
+    )
     force_vectors = [getattr(load, force_key) or () for force_key in ("force_sin", "force_cos")]
     force_over_young = (
         math.hypot(*(component for force_vector in force_vectors for component in force_vector))
@@ -646,15 +659,15 @@ def displacement_added_by_halved_elements(scene: Scene) -> float:
     )
     if scene.dimension == 3 or thickness is None:
         return force_over_young / mesh_table.size if mesh_table.size else 0.0
-    n_edges = 1
+    n_body_edges_at_force = 1
     if mesh_table.layout != "file":
-        n_edges = sum(
-            component in (0.0, side_length)
-            for component, side_length in zip(load.point or (), side_lengths, strict=True)
+        n_body_edges_at_force = sum(
+            component in (0.0, body_side_length)
+            for component, body_side_length in zip(load.point or (), body_side_lengths, strict=True)
         )
-    corner_angle = math.pi * 2.0 ** (1 - n_edges)
-    wedge_factor = 1.0 / (corner_angle + math.sin(corner_angle)) + 1.0 / (
-        corner_angle - math.sin(corner_angle)
+    body_angle_at_force = math.pi * 2.0 ** (1 - n_body_edges_at_force)
+    wedge_factor = 1.0 / (body_angle_at_force + math.sin(body_angle_at_force)) + 1.0 / (
+        body_angle_at_force - math.sin(body_angle_at_force)
     )
     return force_over_young / thickness * math.log(2.0) * wedge_factor
 

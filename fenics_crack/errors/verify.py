@@ -44,7 +44,7 @@ from fenics_crack.errors.convergence import (
     TIP_CONVERGENCE_ORDER,
     CountAndValues,
     PartOrReason,
-    find_error_part_or_reason,
+    estimate_error_part_from_runs,
 )
 from fenics_crack.errors.numbers import (
     add_changes,
@@ -129,11 +129,11 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     judged_answer = _AnswerJudgedByFinerRuns(
         run, answer, numbers.values_by_name, answer, numbers, unreduced_study
     )
-    judged_answer.note_verdict(SCENE_RUN_NAME, run)
+    judged_answer.note_stability_verdict(SCENE_RUN_NAME, run)
     verification = Verification(unreduced_study.scene, numbers.values_by_name, numbers.unit_by_name)
     verification = add_error_parts(verification, {"mesh": judged_answer.estimate_error_by_mesh})
     part_function_by_cause: dict[str, Callable[[], PartOrReason]] = {
-        "shift": partial(judged_answer.estimate_error_by_shift, verification),
+        "shift": partial(judged_answer.estimate_error_by_resonance_shift, verification),
         "modes": judged_answer.estimate_error_by_modes,
         "harmonics": judged_answer.estimate_error_by_harmonics,
         "samples": judged_answer.estimate_error_by_samples,
@@ -143,7 +143,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     return replace(
         verification,
         failures=tuple(judged_answer.failure_texts),
-        verdicts=judged_answer.verdict_by_run,
+        verdicts=judged_answer.stability_verdict_by_run,
     )
 
 
@@ -161,13 +161,13 @@ def _scene_with_chosen_counts(run: SolvedStudy) -> Scene:
         values_by_key["harmonic_balance.harmonics"] = run.result.harmonics
     if scene.disk is not None:
         return scene.replace(values_by_key)
-    reduction = modal_reduction_or_none(scene, whole_structure)
-    if reduction is None or reduction.n_modes >= whole_structure.n_dofs:
+    modal_reduction = modal_reduction_or_none(scene, whole_structure)
+    if modal_reduction is None or modal_reduction.n_modes >= whole_structure.n_dofs:
         values_by_key |= {"reduction.method": "off", "reduction.modes": None}
     else:
         values_by_key |= {
-            "reduction.method": reduction.method,
-            "reduction.modes": reduction.n_modes,
+            "reduction.method": modal_reduction.method,
+            "reduction.modes": modal_reduction.n_modes,
         }
     return scene.replace(values_by_key)
 
@@ -183,16 +183,19 @@ def _count_kept_and_possible_modes(study: Study) -> tuple[int, int] | str:
         Kept and possible mode counts. If modes cannot be varied, a text with the reason: no
         reduction, or all modes are kept.
     """
-    disk_table, reduction = study.scene.disk, modal_reduction_or_none(study.scene, study.structure)
+    disk_table, modal_reduction = (
+        study.scene.disk,
+        modal_reduction_or_none(study.scene, study.structure),
+    )
     if disk_table is not None:
         return disk_table.families, study.structure.n_dofs // disk_table.sectors
-    if reduction is None:
+    if modal_reduction is None:
         return "the structure is not reduced to modes"
     n_possible_modes = study.structure.n_dofs - study.structure.n_pairs
     return (
         "all modes are kept"
-        if reduction.n_modes >= n_possible_modes
-        else (reduction.n_modes, n_possible_modes)
+        if modal_reduction.n_modes >= n_possible_modes
+        else (modal_reduction.n_modes, n_possible_modes)
     )
 
 
@@ -207,19 +210,22 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         (:func:`_scene_with_chosen_counts`).
     failure_texts : list of str
         Name and error of each failed finer run.
-    verdict_by_run : dict of str to str
+    stability_verdict_by_run : dict of str to str
         Verdict on stability by name of the run, "stable" runs excluded.
     """
 
     unreduced_study: Study
     failure_texts: list[str] = field(default_factory=list)
-    verdict_by_run: dict[str, str] = field(default_factory=dict)
+    stability_verdict_by_run: dict[str, str] = field(default_factory=dict)
 
-    def note_verdict(self, run_name: str, run: SolvedStudy) -> None:
-        """Record a run's verdict on stability in ``verdict_by_run``, unless "stable" or missing."""
+    def note_stability_verdict(self, run_name: str, run: SolvedStudy) -> None:
+        """Record a run's verdict on stability in ``stability_verdict_by_run``.
+
+        The verdict "stable", or a missing verdict, is not recorded.
+        """
         stability = run.result.stability
         if stability is not None and stability.verdict != "stable":
-            self.verdict_by_run[run_name] = stability.verdict
+            self.stability_verdict_by_run[run_name] = stability.verdict
 
     def _estimate_error_by_finer_runs(
         self,
@@ -262,7 +268,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         ConvergenceError
             All finer runs fail.
         """
-        counts_and_values: list[CountAndValues] = [(count, self.balance_numbers.values_by_name)]
+        counts_and_values: list[CountAndValues] = [(count, self.balance_quantities.values_by_name)]
         for run_name, finer_count, scene in reversed(finer_scenes):  # few modes are among many
             with prefix_stages(run_name):
                 try:
@@ -275,12 +281,12 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
                 self._compute_run_values_by_name(run, cause),
             )
             counts_and_values.insert(1, count_and_values)
-            self.note_verdict(run_name, run)
+            self.note_stability_verdict(run_name, run)
         if len(counts_and_values) == 1:
             raise ConvergenceError(cause)
-        if len({run_count for run_count, _ in counts_and_values}) < len(counts_and_values):
+        if len({count_in_run for count_in_run, _ in counts_and_values}) < len(counts_and_values):
             return "finer meshes have as many elements: reduce mesh.size, now the size of the plate"
-        return find_error_part_or_reason(
+        return estimate_error_part_from_runs(
             cause,
             counts_and_values,
             self.unreduced_study.scene,
@@ -303,7 +309,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             None, a new mesh is made. The load frequency is then scaled with the bilinear frequency
             of the resonance.
         """
-        study, mode_number = self.study, self.balance_numbers.mode_number
+        study, mode_number = self.study, self.balance_quantities.mode_number
         start_solution = self.answer if shared_study is study else None
         load_omega = self.answer.omega
         if shared_study is not None:
@@ -331,7 +337,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             if orbit is not None:
                 orbit_values_by_name = self.compute_values_by_name(orbit, run)
                 return add_changes(
-                    self.balance_numbers.values_by_name,
+                    self.balance_quantities.values_by_name,
                     self.orbit_values_by_name,
                     orbit_values_by_name,
                 )
@@ -412,12 +418,15 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             if self.unreduced_study.structure.n_pairs
             else CLAMP_CONVERGENCE_ORDER
         )
-        n_elements, scheme_order = count_elements(self.study.structure), 2.0 * scene.mesh.order
+        n_elements_of_answer, scheme_order = (
+            count_elements(self.study.structure),
+            2.0 * scene.mesh.order,
+        )
         return self._estimate_error_by_finer_runs(
-            "mesh", finer_scenes, n_elements, formal_order, scheme_order=scheme_order
+            "mesh", finer_scenes, n_elements_of_answer, formal_order, scheme_order=scheme_order
         )
 
-    def estimate_error_by_shift(self, verification: Verification) -> PartOrReason:
+    def estimate_error_by_resonance_shift(self, verification: Verification) -> PartOrReason:
         """Estimate the error because a finer mesh would shift the resonance (collective).
 
         Instead of the resonance, the load frequency is moved on the answer's mesh, in the opposite
@@ -439,41 +448,50 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         if "mesh" not in verification.parts:
             return ""
         element_counts = verification.counts["mesh"]
-        resonance_convergence = verification.parts["mesh"][self.balance_numbers.resonance_name]
-        resonance_frequency = self.balance_numbers.values_by_name[
-            self.balance_numbers.resonance_name
+        resonance_convergence = verification.parts["mesh"][self.balance_quantities.resonance_name]
+        answer_resonance_frequency = self.balance_quantities.values_by_name[
+            self.balance_quantities.resonance_name
         ]
-        relative_error = resonance_convergence.uncertainty(-1) / resonance_frequency
-        is_extrapolated = math.isfinite(resonance_convergence.extrapolated)
+        relative_error = resonance_convergence.uncertainty(-1) / answer_resonance_frequency
+        is_resonance_extrapolated = math.isfinite(resonance_convergence.extrapolated)
         is_resonance_rising = (
-            is_extrapolated and resonance_convergence.extrapolated > resonance_frequency
+            is_resonance_extrapolated
+            and resonance_convergence.extrapolated > answer_resonance_frequency
         )
-        shift_sign = -1.0 if is_resonance_rising else 1.0
+        load_frequency_shift_sign = -1.0 if is_resonance_rising else 1.0
         load_frequency_factors = [
-            (1.0 + relative_error * fraction) ** shift_sign for fraction in (0.5, 1.0)
+            (1.0 + relative_error * fraction_of_resonance_error) ** load_frequency_shift_sign
+            for fraction_of_resonance_error in (0.5, 1.0)
         ]
-        if is_extrapolated:
-            load_frequency_factors.append(resonance_frequency / resonance_convergence.extrapolated)
-        solution, values_at_shifts = self.answer, []
+        if is_resonance_extrapolated:
+            load_frequency_factors.append(
+                answer_resonance_frequency / resonance_convergence.extrapolated
+            )
+        solution, values_at_load_frequencies = self.answer, []
         for load_frequency_factor in load_frequency_factors:  # each is sought from the one before
             load_omega = self.answer.omega * load_frequency_factor
             solution = solve_without_stability(
                 self.study, load_omega, self.answer.harmonics, solution
             )
-            values_at_shifts.append(self.compute_values_by_name(solution))
+            values_at_load_frequencies.append(self.compute_values_by_name(solution))
         convergence_by_name = {}
-        for quantity_name, value in self.balance_numbers.values_by_name.items():
-            shifted_value_list = [
-                values_by_name.get(quantity_name, 0.0) for values_by_name in values_at_shifts
+        for quantity_name, value in self.balance_quantities.values_by_name.items():
+            quantity_at_load_frequencies = [
+                values_at_load_frequency.get(quantity_name, 0.0)
+                for values_at_load_frequency in values_at_load_frequencies
             ]
-            extreme_value = max(shifted_value_list, key=lambda candidate: abs(candidate - value))
+            extreme_value = max(
+                quantity_at_load_frequencies, key=lambda candidate: abs(candidate - value)
+            )
             convergence_by_name[quantity_name] = replace(
                 resonance_convergence,
                 sizes=(resonance_convergence.sizes[0], resonance_convergence.sizes[-1]),
                 factor=1.0,
                 values=(extreme_value, value),
                 behaviour="carried",
-                extrapolated=shifted_value_list[-1] if is_extrapolated else math.nan,
+                extrapolated=quantity_at_load_frequencies[-1]
+                if is_resonance_extrapolated
+                else math.nan,
             )
         return element_counts[:: len(element_counts) - 1], convergence_by_name
 
@@ -483,15 +501,15 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         Without truncated modes, return the reason as text.
         """
         unreduced_study = self.unreduced_study
-        mode_counts_or_reason = _count_kept_and_possible_modes(self.unreduced_study)
-        if isinstance(mode_counts_or_reason, str):
-            return mode_counts_or_reason
+        kept_and_possible_modes_or_reason = _count_kept_and_possible_modes(self.unreduced_study)
+        if isinstance(kept_and_possible_modes_or_reason, str):
+            return kept_and_possible_modes_or_reason
         return self._estimate_error_by_larger_counts(
             "modes",
             unreduced_study,
             unreduced_study.scene,
             unreduced_study.scene.modes_key,
-            *mode_counts_or_reason,
+            *kept_and_possible_modes_or_reason,
             TIP_CONVERGENCE_ORDER,
         )
 

@@ -91,7 +91,7 @@ class EllipseTable:
         return {
             column_name: RectBivariateSpline(
                 *log_depths_and_lengths,
-                column / _compute_depth_factors(column_name, self.depths)[:, None],
+                column / _compute_column_scales_at_depths(column_name, self.depths)[:, None],
                 kx=depth_degree,
                 ky=length_degree,
             )
@@ -108,7 +108,7 @@ class EllipseTable:
         column_values = self._spline_by_column[column_name].ev(np.log(depths), np.log(lengths))
         if column_name.startswith("delta_K"):
             column_values = column_values.clip(0.0)
-        return np.asarray(column_values * _compute_depth_factors(column_name, depths))
+        return np.asarray(column_values * _compute_column_scales_at_depths(column_name, depths))
 
     def with_every_second_size(self) -> EllipseTable:
         """Return a coarser table with every second depth and length.
@@ -121,7 +121,7 @@ class EllipseTable:
         return EllipseTable(self.depths[::2], self.lengths[::2], coarse_column_by_name)
 
 
-def _compute_depth_factors(column_name: str, depths: np.ndarray) -> np.ndarray:
+def _compute_column_scales_at_depths(column_name: str, depths: np.ndarray) -> np.ndarray:
     """Return how a column scales with depths (n,) [m]: (n,).
 
     Stress intensities and their ranges scale with sqrt(depth), and are interpolated after division
@@ -261,10 +261,10 @@ def integrate_ellipse_growth(
     end_reason: GrowthEnd = next(
         (
             reason
-            for reason, event_growth_sums in zip(
+            for reason, growth_sums_at_event in zip(
                 event_function_by_reason, ode_solution.t_events, strict=True
             )
-            if len(event_growth_sums)
+            if len(growth_sums_at_event)
         ),
         "arrested",
     )
@@ -328,21 +328,26 @@ def tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
             f"{_ellipse_in_words(sweep_result, case_index)} was not solved: {failure_text}"
         )
     nearest_mode_number = find_nearest_mode_number(sweep_result, sweep_result["omega"][0, 0])
-    sweep_name_by_column = {
-        f"omega_{crack_state}": f"omega_{crack_state}_{nearest_mode_number}"
-        for crack_state in ("open", "bilinear")
+    sweep_column_name_by_table_column = {
+        f"omega_{frequency_kind}": f"omega_{frequency_kind}_{nearest_mode_number}"
+        for frequency_kind in ("open", "bilinear")
     }
     column_by_name = {
-        column_name: sweep_result[sweep_name_by_column.get(column_name, column_name)].copy()
-        for column_name in (*GROWTH_SWEEP_COLUMN_NAMES, *observable_names(Place.ELLIPSE_ENDS))
+        column_name: sweep_result[
+            sweep_column_name_by_table_column.get(column_name, column_name)
+        ].copy()
+        for column_name in (
+            *GROWTH_SWEEP_COLUMN_NAMES,
+            *observable_names(Place.DEEPEST_PLACE_AND_ELLIPSE_ENDS),
+        )
     }
     column_by_name["response"] = np.nan_to_num(column_by_name["response"])  # nan if nothing moves
     log_size_grid = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
     for column in column_by_name.values() if sweep_result.failed_indices_and_reasons else ():
-        failed_case_values = RBFInterpolator(log_size_grid[is_solved], column[is_solved])(
+        interpolated_column_values = RBFInterpolator(log_size_grid[is_solved], column[is_solved])(
             log_size_grid[~is_solved]
         )
-        column[~is_solved] = np.maximum(failed_case_values, 0.0)
+        column[~is_solved] = np.maximum(interpolated_column_values, 0.0)
     return EllipseTable(depths, lengths, column_by_name)
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.observables import ObservableFlag, Place, observable_names
+from fenics_crack.basics.observables import ObservableTableFlag, Place, observable_names
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import (
     N_PRINTED_ROWS_OF_LONG_RESULT,
@@ -60,7 +60,7 @@ from fenics_crack.fatigue.lengths import (
 )
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.solid import find_reaches_from_crack_middle
-from fenics_crack.files.store import SavedResult
+from fenics_crack.files.store import SavableResult
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
 from fenics_crack.scene.result_tables import Growth as Law
@@ -88,7 +88,7 @@ The effective range is that of K_I while the crack tip is open.
 
 
 @dataclass(frozen=True, repr=False)
-class Growth(SavedResult):
+class Growth(SavableResult):
     """Result of :func:`grow`: crack length and vibration over load cycles.
 
     Attributes
@@ -193,9 +193,9 @@ class Growth(SavedResult):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the table's columns by name, with an entry for each length."""
-        repeats = self.repeats
+        repeat_counts = self.repeats
         values_by_column = {
-            **({} if repeats is None else {"repeats": repeats}),
+            **({} if repeat_counts is None else {"repeats": repeat_counts}),
             "cycles": self.cycles,
             "time": self.time,
             "crack_length": self.length,
@@ -251,10 +251,10 @@ class Growth(SavedResult):
 
     def _repr_text(self) -> str:
         sizes_text = f"{self._size_in_words(0)} to {self._size_in_words(-1)}"
-        frequency_text = f"frequency falls by {self.frequency_drop[-1]:.2%}"
+        frequency_drop_text = f"frequency falls by {self.frequency_drop[-1]:.2%}"
         life_text = f"{self.life:.4g} cycles within a factor of {self.factor:.3g}"
         solved_text = f"{format_count(len(self.solved), 'size')} solved"
-        return f"{sizes_text}, {life_text}, {self.end}, {frequency_text}, {solved_text}"
+        return f"{sizes_text}, {life_text}, {self.end}, {frequency_drop_text}, {solved_text}"
 
 
 def report_of_growth(growth: Growth) -> Report:
@@ -263,16 +263,17 @@ def report_of_growth(growth: Growth) -> Report:
     The printed table has at most :data:`N_PRINTED_ROWS_OF_LONG_RESULT` rows, equally spaced; files
     have all rows.
     """
-    growth_table, n_rows = growth.table(), len(growth.length)
+    growth_result_table, n_rows = growth.table(), len(growth.length)
     shown_row_indices = sorted(
         {*np.linspace(0, n_rows - 1, N_PRINTED_ROWS_OF_LONG_RESULT).round().astype(int).tolist()}
     )
     return Report(
-        growth_table,
+        growth_result_table,
         growth.build_conclusion(),
         growth.scene,
         printed_table=Table(
-            growth_table.columns, [growth_table.rows[row_index] for row_index in shown_row_indices]
+            growth_result_table.columns,
+            [growth_result_table.rows[row_index] for row_index in shown_row_indices],
         ),
         warnings=growth.remarks,
         remarks=remarks_on_scene(growth.scene),
@@ -295,7 +296,7 @@ N_ELLIPSE_MODES = 20
 
 The neglected modes change every K by 1e-4, relative.
 """
-MAX_ELLIPSE_LENGTH_FRACTION = 0.9
+MAX_ELLIPSE_LENGTH_OVER_AVAILABLE = 0.9
 """Maximum length of a half-ellipse over the length between the solid's sides."""
 COLUMN_NAME_BY_GROWTH_FIELD = {
     "omega": "omega", "omega_open": "omega_open", "omega_bilinear": "omega_bilinear",
@@ -369,13 +370,13 @@ def grow(
     _make_scene_with_crack_size(
         scene_without_sweep, scene_without_sweep.excitation.omega, law.until
     )  # raises errors for the largest crack before anything is solved
-    length_path, interpolation_error, jump_lengths = solve_lengths_to_tolerance(
+    length_path, interpolation_error, intensity_jump_lengths = solve_lengths_to_tolerance(
         scene_without_sweep, folder_path, comm, progress=progress
     )
     lengths, cycles, end_reason = length_path.integrate_cycles_to_end()
     half_life_length = float(np.interp(0.5 * cycles[-1], cycles, lengths))
     load_omega = length_path.find_load_omega(half_life_length)
-    vibration_error, omission_remarks = on_root(
+    stress_intensity_range_error, missing_error_remarks = on_root(
         comm,
         lambda: _estimate_range_error_and_remarks(
             scene_without_sweep, "delta_K_equivalent", load_omega, half_life_length
@@ -383,10 +384,10 @@ def grow(
     )
     growth_rates = length_path.compute_growth_rates(lengths)
     error_by_cause = _collect_life_error_by_cause(
-        law, growth_rates, cycles, vibration_error, interpolation_error
+        law, growth_rates, cycles, stress_intensity_range_error, interpolation_error
     )
     error_by_cause["vibration"] += length_path.estimate_life_error_by_threshold(
-        lengths, cycles, vibration_error
+        lengths, cycles, stress_intensity_range_error
     )
     values_by_column = {
         column_name: length_path.interpolate_column(column_name, lengths)
@@ -396,7 +397,12 @@ def grow(
         values_by_column[column_name][values_by_column[column_name] <= SMALLEST_NORMAL] = 0.0
     growth_rates[-1] *= end_reason != "arrested"
     growth_remarks = _collect_growth_remarks(
-        length_path, jump_lengths, values_by_column, lengths, vibration_error, end_reason
+        length_path,
+        intensity_jump_lengths,
+        values_by_column,
+        lengths,
+        stress_intensity_range_error,
+        end_reason,
     )
     return Growth(
         scene,
@@ -405,7 +411,7 @@ def grow(
         end=end_reason,
         solved=length_path.lengths,
         errors=error_by_cause,
-        remarks=(*growth_remarks, *omission_remarks),
+        remarks=(*growth_remarks, *missing_error_remarks),
         **_get_values_by_growth_field(values_by_column, cycles),
     )
 
@@ -428,7 +434,7 @@ def _collect_life_error_by_cause(
     law: Law,
     growth_rates: np.ndarray,
     cycles: np.ndarray,
-    vibration_error: float,
+    stress_intensity_range_error: float,
     interpolation_error: float,
 ) -> dict[str, float]:
     """Return standard deviations of ln(life) by cause.
@@ -442,7 +448,7 @@ def _collect_life_error_by_cause(
         Table ``[growth]`` with C, m and their standard deviations.
     growth_rates, cycles : (n,) [m], [-]
         Growth in a load cycle, and the cycles until then.
-    vibration_error : float
+    stress_intensity_range_error : float
         Relative error of the range of K_I.
     interpolation_error : float
         Relative error of the cycles.
@@ -454,7 +460,7 @@ def _collect_life_error_by_cause(
     return {
         "rate": law.rate_deviation,
         "exponent": law.exponent_deviation * abs(float(mean_log_range)),
-        "vibration": law.exponent * vibration_error,
+        "vibration": law.exponent * stress_intensity_range_error,
         "interpolation": interpolation_error,
     }
 
@@ -561,7 +567,7 @@ def _grow_ellipse(
     }
     half_life_index = int(np.searchsorted(cycles, 0.5 * cycles[-1]))
     fastest_direction = int(ellipse_path.growth_per_cycle[half_life_index].argmax())
-    vibration_error, omission_remarks = on_root(
+    stress_intensity_range_error, missing_error_remarks = on_root(
         comm,
         lambda: _estimate_range_error_and_remarks(
             scene,
@@ -575,12 +581,16 @@ def _grow_ellipse(
         ellipse_table, ellipse_path, law, n_surface_ends
     )
     error_by_cause = _collect_life_error_by_cause(
-        law, ellipse_path.growth_per_cycle.sum(axis=1), cycles, vibration_error, interpolation_error
+        law,
+        ellipse_path.growth_per_cycle.sum(axis=1),
+        cycles,
+        stress_intensity_range_error,
+        interpolation_error,
     )
     remark_texts = _collect_ellipse_remarks(
         sweep_result, ellipse_table, ellipse_path, values_by_column, law
     )
-    remark_texts += [] if math.isfinite(vibration_error) else [UNKNOWN_K_ERROR_REMARK]
+    remark_texts += [] if math.isfinite(stress_intensity_range_error) else [UNKNOWN_K_ERROR_REMARK]
     depth_length_grid = np.stack(
         np.meshgrid(ellipse_table.depths, ellipse_table.lengths, indexing="ij"), axis=-1
     )
@@ -591,7 +601,7 @@ def _grow_ellipse(
         end=ellipse_path.end_reason,
         solved=depth_length_grid[sweep_result.converged],
         errors=error_by_cause,
-        remarks=(*remark_texts, *omission_remarks),
+        remarks=(*remark_texts, *missing_error_remarks),
         depth=ellipse_path.depth,
         **_get_values_by_growth_field(values_by_column, cycles),
     )
@@ -653,9 +663,11 @@ def _find_allowed_ellipse_length(scene: Scene) -> float:
     the length is also at most the first length times (``growth.until`` / first depth)^3.
     """
     crack, law = scene.given("crack"), scene.given("growth")
-    section_reaches = find_reaches_from_crack_middle(scene)
-    available_length = max(section_reaches) if crack.edge else 2.0 * min(section_reaches)
-    allowed_length = MAX_ELLIPSE_LENGTH_FRACTION * available_length
+    distances_to_section_ends = find_reaches_from_crack_middle(scene)
+    available_length = (
+        max(distances_to_section_ends) if crack.edge else 2.0 * min(distances_to_section_ends)
+    )
+    allowed_length = MAX_ELLIPSE_LENGTH_OVER_AVAILABLE * available_length
     if crack.point is None:
         return allowed_length
     return min(allowed_length, crack.given("length") * (law.until / crack.given("depth")) ** 3)
@@ -679,8 +691,8 @@ def _make_scene_with_crack_size(
         Crack size; None as depth for a crack through the thickness.
     """
     quantity_names = observable_names(
-        Place.MOST_LOADED_TIP if depth is None else Place.ELLIPSE_ENDS,
-        required_flags=ObservableFlag.REQUIRES_GROWTH_LAW,
+        Place.MOST_LOADED_TIP if depth is None else Place.DEEPEST_PLACE_AND_ELLIPSE_ENDS,
+        required_flags=ObservableTableFlag.REQUIRES_GROWTH_LAW,
     )
     return scene.replace(
         {
@@ -726,20 +738,20 @@ def _estimate_range_error_and_remarks(
     error_statement = estimate_solution_errors(
         solved_run, solved_run.result, is_peak=is_at_peak, causes=cause_names
     )
-    omission_remarks = (
+    missing_error_remarks = (
         [f"error of the vibration: {error_statement.omitted_causes_and_reasons_text}"]
         if error_statement.omitted_causes_and_reasons_text
         else []
     )
-    return error_statement.stated(quantity_name)[0], omission_remarks
+    return error_statement.stated(quantity_name)[0], missing_error_remarks
 
 
 def _collect_growth_remarks(
     length_path: LengthPath,
-    jump_lengths: list[float],
+    intensity_jump_lengths: list[float],
     values_by_column: Mapping[str, np.ndarray],
     lengths: np.ndarray,
-    vibration_error: float,
+    stress_intensity_range_error: float,
     end_reason: str,
 ) -> list[str]:
     """Return the doubts about a straight crack's growth, as sentences.
@@ -748,11 +760,11 @@ def _collect_growth_remarks(
     ----------
     length_path : LengthPath
         Solved lengths.
-    jump_lengths : list of float [m]
+    intensity_jump_lengths : list of float [m]
         Lengths at which splines of the range miss solutions (:func:`solve_lengths_to_tolerance`).
     values_by_column, lengths : dict of str to (n,), (n,) [m]
         Columns and lengths along the growth.
-    vibration_error : float
+    stress_intensity_range_error : float
         Relative error of the range of K_I; nan if unknown.
     end_reason : str
         Why growth ends: "reached", "arrested" or "broken".
@@ -761,16 +773,17 @@ def _collect_growth_remarks(
         values_by_column["K_max"], values_by_column["K_II_max"], lengths
     )
     law = length_path.law
-    not_stable_lengths, jump_lengths = (
+    not_stable_lengths, intensity_jump_lengths = (
         [doubtful_length for doubtful_length in doubtful_lengths if doubtful_length <= lengths[-1]]
-        for doubtful_lengths in (length_path.not_stable_lengths, jump_lengths)
+        for doubtful_lengths in (length_path.not_stable_lengths, intensity_jump_lengths)
     )
     if not_stable_lengths:
         count_text = format_count(len(not_stable_lengths), "length")
         remark_texts.append(f"at {count_text} {NOT_STABLE_REMARK_END}")
-    if jump_lengths:
+    if intensity_jump_lengths:
         remark_texts.append(
-            f"near a length of {jump_lengths[0]:.4g} m the stress intensity jumps: several "
+            f"near a length of {intensity_jump_lengths[0]:.4g} m the stress intensity jumps: "
+            "several "
             "vibrations may be possible there, and growth uses the first one found; fenics-crack "
             "curve shows them"
         )
@@ -784,15 +797,15 @@ def _collect_growth_remarks(
     # A crack arrested after some growth is at the threshold anyhow: no remark.
     is_near_threshold = (
         np.abs(values_by_column["delta_K_effective"] - law.threshold)
-        < vibration_error * law.threshold
+        < stress_intensity_range_error * law.threshold
     )
     if np.any(is_near_threshold) and (end_reason != "arrested" or len(lengths) == 1):
         remark_texts.append(
             f"at a length of {lengths[np.argmax(is_near_threshold)]:.4g} m the range differs from "
-            f"growth.threshold by less than its error of {vibration_error:.1%}: "
+            f"growth.threshold by less than its error of {stress_intensity_range_error:.1%}: "
             "the crack may grow there, or stop"
         )
-    if not math.isfinite(vibration_error):
+    if not math.isfinite(stress_intensity_range_error):
         remark_texts.append(UNKNOWN_K_ERROR_REMARK)
     return remark_texts
 

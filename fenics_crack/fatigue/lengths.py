@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import ConvergenceError, StoppedError
-from fenics_crack.basics.observables import ObservableFlag, Place, observable_names
+from fenics_crack.basics.observables import ObservableTableFlag, Place, observable_names
 from fenics_crack.basics.ranks import StopRequest
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
@@ -59,7 +59,7 @@ class LengthPath:
     ----------
     lengths : (k,) [m]
         Solved lengths in ascending order.
-    column_by_name : dict of str to (k,)
+    column_values_by_name : dict of str to (k,)
         Columns :data:`LOG_INTERPOLATED_COLUMN_NAMES` and :data:`VALUE_INTERPOLATED_COLUMN_NAMES`.
     sweep_results : sequence of SweepResult
         Sweeps with the solutions.
@@ -70,7 +70,7 @@ class LengthPath:
     """
 
     lengths: np.ndarray
-    column_by_name: dict[str, np.ndarray]
+    column_values_by_name: dict[str, np.ndarray]
     sweep_results: Sequence[SweepResult]
     omega_with_most_growth: np.ndarray
     law: Law
@@ -90,14 +90,16 @@ class LengthPath:
         law : Growth
             Table ``[growth]``.
         """
-        is_solved_by_sweep = [
+        solved_masks_of_sweeps = [
             sweep_result.converged.reshape(len(sweep_result.axes[0].values), -1).all(axis=1)
             for sweep_result in sweep_results
         ]
         lengths = np.concatenate(
             [
                 np.array(sweep_result.axes[0].values)[is_solved]
-                for sweep_result, is_solved in zip(sweep_results, is_solved_by_sweep, strict=True)
+                for sweep_result, is_solved in zip(
+                    sweep_results, solved_masks_of_sweeps, strict=True
+                )
             ]
         )
         length_order = np.argsort(lengths)
@@ -106,19 +108,21 @@ class LengthPath:
             """Return a column at all lengths, ascending, and at each load: (k, levels)."""
             values_of_sweeps = [
                 sweep_result[column_name].reshape(len(is_solved), -1)[is_solved]
-                for sweep_result, is_solved in zip(sweep_results, is_solved_by_sweep, strict=True)
+                for sweep_result, is_solved in zip(
+                    sweep_results, solved_masks_of_sweeps, strict=True
+                )
             ]
             return np.concatenate(values_of_sweeps)[length_order]
 
-        level_values_by_column = {
+        load_level_values_by_column = {
             name: get_level_values(name) for name in GROWTH_SWEEP_COLUMN_NAMES
         }
-        level_values_by_column["response"] = np.nan_to_num(
-            level_values_by_column["response"]
+        load_level_values_by_column["response"] = np.nan_to_num(
+            load_level_values_by_column["response"]
         )  # nan if nothing moves
         level_cycles = np.ones(1) if law.frequencies is None else np.array(law.cycles)
         column_by_name, omega_with_most_growth = _reduce_load_levels_to_columns(
-            level_values_by_column, law, level_cycles
+            load_level_values_by_column, law, level_cycles
         )
         mode_number = find_nearest_mode_number(sweep_results[0], omega_with_most_growth[0])
         for column_name in ("omega_open", "omega_bilinear"):
@@ -151,7 +155,7 @@ class LengthPath:
         """
         from scipy.interpolate import CubicSpline  # takes a while, and is needed here alone
 
-        column = self.column_by_name[column_name]
+        column = self.column_values_by_name[column_name]
         if column_name not in LOG_INTERPOLATED_COLUMN_NAMES:
             return np.asarray(CubicSpline(self.lengths, column)(lengths))
         column_floor = 1e-4 * max(float(column.max()), SMALLEST_NORMAL)  # closed cracks
@@ -163,7 +167,9 @@ class LengthPath:
         return replace(
             self,
             lengths=self.lengths[::2],
-            column_by_name={name: column[::2] for name, column in self.column_by_name.items()},
+            column_values_by_name={
+                name: column[::2] for name, column in self.column_values_by_name.items()
+            },
             omega_with_most_growth=self.omega_with_most_growth[::2],
         )
 
@@ -209,10 +215,14 @@ class LengthPath:
         if len(end_indices):
             end_reason = "arrested" if is_arrested[end_indices[0]] else "broken"
             lengths = lengths[: int(end_indices[0]) + 1]
-        half_steps = 0.5 * np.diff(lengths)[:, None]
-        quadrature_lengths = lengths[:-1, None] + half_steps * (1.0 + GAUSS_LEGENDRE_NODES)
+        half_interval_widths = 0.5 * np.diff(lengths)[:, None]
+        quadrature_lengths = lengths[:-1, None] + half_interval_widths * (
+            1.0 + GAUSS_LEGENDRE_NODES
+        )
         quadrature_cycles = (
-            half_steps * GAUSS_LEGENDRE_WEIGHTS / self.compute_growth_rates(quadrature_lengths)
+            half_interval_widths
+            * GAUSS_LEGENDRE_WEIGHTS
+            / self.compute_growth_rates(quadrature_lengths)
         )
         return lengths, np.append(0.0, np.cumsum(quadrature_cycles.sum(axis=1))), end_reason
 
@@ -235,11 +245,13 @@ class LengthPath:
             self.sweep_results, replace(law, threshold=law.threshold / (1.0 - range_error))
         )
         middle_lengths = 0.5 * (lengths[1:] + lengths[:-1])
-        driving_range_ratios = self.interpolate_column(
+        range_ratios_by_raised_threshold = self.interpolate_column(
             "driving", middle_lengths
         ) / path_with_raised_threshold.interpolate_column("driving", middle_lengths)
         return math.log(
-            float(np.average(driving_range_ratios**law.exponent, weights=np.diff(cycles)))
+            float(
+                np.average(range_ratios_by_raised_threshold**law.exponent, weights=np.diff(cycles))
+            )
         )
 
 
@@ -270,7 +282,7 @@ def list_failed_lengths_and_reasons(
 
 
 def _reduce_load_levels_to_columns(
-    level_values_by_column: dict[str, np.ndarray], law: Law, level_cycles: np.ndarray
+    load_level_values_by_column: dict[str, np.ndarray], law: Law, level_cycles: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Reduce values at the loads of a spectrum to a column over lengths.
 
@@ -284,7 +296,7 @@ def _reduce_load_levels_to_columns(
 
     Parameters
     ----------
-    level_values_by_column : dict of str to (k, levels)
+    load_level_values_by_column : dict of str to (k, levels)
         Values at k lengths and each load, by column name.
     law : Growth
         Table ``[growth]`` with m and the threshold.
@@ -299,35 +311,35 @@ def _reduce_load_levels_to_columns(
     (k,) [rad/s]
         Frequency of the load with most growth.
     """
-    effective_ranges = level_values_by_column["delta_K_effective"]
-    equivalent_ranges = level_values_by_column["delta_K_equivalent"]
+    effective_ranges = load_level_values_by_column["delta_K_effective"]
+    equivalent_ranges = load_level_values_by_column["delta_K_equivalent"]
     column_by_name = {
-        column_name: level_values_by_column[column_name].max(axis=1)
+        column_name: load_level_values_by_column[column_name].max(axis=1)
         for column_name in ("K_max", "delta_K_effective")
     }
     min_growing_range = np.minimum(law.threshold, column_by_name["delta_K_effective"])[:, None]
     largest_equivalent_range = np.maximum(
         equivalent_ranges.max(axis=1, keepdims=True), SMALLEST_NORMAL
     )
-    relative_growth = (effective_ranges >= min_growing_range) * (
+    growth_over_largest_growth = (effective_ranges >= min_growing_range) * (
         equivalent_ranges / largest_equivalent_range
     ) ** law.exponent
-    growth_shares = level_cycles / level_cycles.sum() * relative_growth
-    leading_level_index = growth_shares.argmax(axis=1)[:, None]
-    leading_value_by_column = {
+    growth_shares = level_cycles / level_cycles.sum() * growth_over_largest_growth
+    level_index_with_most_growth = growth_shares.argmax(axis=1)[:, None]
+    value_with_most_growth_by_column = {
         column_name: np.take_along_axis(
-            level_values_by_column[column_name], leading_level_index, axis=1
+            load_level_values_by_column[column_name], level_index_with_most_growth, axis=1
         )[:, 0]
-        for column_name in level_values_by_column
+        for column_name in load_level_values_by_column
     }
-    omega_with_most_growth = leading_value_by_column["omega"]
+    omega_with_most_growth = value_with_most_growth_by_column["omega"]
     column_by_name["driving"] = largest_equivalent_range[:, 0] * growth_shares.sum(axis=1) ** (
         1.0 / law.exponent
     )
     column_by_name["omega"] = level_cycles.sum() / (
-        level_cycles / level_values_by_column["omega"]
+        level_cycles / load_level_values_by_column["omega"]
     ).sum(axis=1)
-    return leading_value_by_column | column_by_name, omega_with_most_growth
+    return value_with_most_growth_by_column | column_by_name, omega_with_most_growth
 
 
 def solve_lengths_to_tolerance(
@@ -363,12 +375,17 @@ def solve_lengths_to_tolerance(
     next_lengths = np.linspace(scene.given("crack").length, law.until, 5)
     sweep_results: tuple[SweepResult, ...] = ()
     for round_number in range(1, 7):  # 129 lengths are as close as meshes are similar
-        values_by_key = {"crack.length": next_lengths}
+        swept_values_by_key = {"crack.length": next_lengths}
         if law.frequencies is not None:
-            values_by_key["excitation.omega"] = RAD_PER_TURN * np.array(law.frequencies)
+            swept_values_by_key["excitation.omega"] = RAD_PER_TURN * np.array(law.frequencies)
         sweep_results += (
             sweep_crack_sizes(
-                scene, values_by_key, folder, comm, round_number=round_number, progress=progress
+                scene,
+                swept_values_by_key,
+                folder,
+                comm,
+                round_number=round_number,
+                progress=progress,
             ),
         )
         failed_lengths_and_reasons = list_failed_lengths_and_reasons(sweep_results)
@@ -395,29 +412,29 @@ def solve_lengths_to_tolerance(
             / max(float(interval_cycles.sum()), SMALLEST_NORMAL)
         )
         life_error = float(interval_life_errors.sum())
-        has_large_life_error = (
+        is_interval_life_error_large = (
             interval_life_errors > law.life_tolerance / len(interval_life_errors)
         ) & (life_error > law.life_tolerance)
         next_lengths = (0.5 * (length_path.lengths[1:] + length_path.lengths[:-1]))[
-            has_large_life_error | (interval_errors > MAX_ALLOWED_LOG_RANGE_ERROR)
+            is_interval_life_error_large | (interval_errors > MAX_ALLOWED_LOG_RANGE_ERROR)
         ]
         failed_lengths = [failed_length for failed_length, _ in failed_lengths_and_reasons]
         next_lengths = next_lengths[~np.isin(next_lengths, failed_lengths)]
         if not len(next_lengths):
             break
         previous_path = length_path
-    indices_steepest_first = np.argsort(-interval_errors / np.diff(length_path.lengths))
-    jump_lengths = length_path.lengths[:-1][
-        indices_steepest_first[
-            interval_errors[indices_steepest_first] > MAX_ALLOWED_LOG_RANGE_ERROR
+    indices_by_falling_error_density = np.argsort(-interval_errors / np.diff(length_path.lengths))
+    intensity_jump_lengths = length_path.lengths[:-1][
+        indices_by_falling_error_density[
+            interval_errors[indices_by_falling_error_density] > MAX_ALLOWED_LOG_RANGE_ERROR
         ]
     ]
-    return length_path, life_error, jump_lengths.tolist()
+    return length_path, life_error, intensity_jump_lengths.tolist()
 
 
 def sweep_crack_sizes(
     scene: Scene,
-    values_by_key: dict[str, np.ndarray],
+    swept_values_by_key: dict[str, np.ndarray],
     folder: Path | None,
     comm: MPI.Comm,
     *,
@@ -430,7 +447,7 @@ def sweep_crack_sizes(
     ----------
     scene : Scene
         Scene with a table ``[growth]``.
-    values_by_key : dict of str to array
+    swept_values_by_key : dict of str to array
         Values by scene key: "crack.length" and "crack.depth" [m], "excitation.omega" [rad/s].
     folder : path or None
         Folder for the file growth_n.h5. An existing file is continued; None keeps nothing.
@@ -443,16 +460,16 @@ def sweep_crack_sizes(
         Ctrl-C was pressed.
     """
     observable_places = (
-        (Place.MOST_LOADED_TIP, Place.ELLIPSE_ENDS)
-        if "crack.depth" in values_by_key
+        (Place.MOST_LOADED_TIP, Place.DEEPEST_PLACE_AND_ELLIPSE_ENDS)
+        if "crack.depth" in swept_values_by_key
         else (Place.MOST_LOADED_TIP,)
     )
     swept_scene = scene.replace(
         {
-            "sweep.over": {key: values.tolist() for key, values in values_by_key.items()},
+            "sweep.over": {key: values.tolist() for key, values in swept_values_by_key.items()},
             "sweep.at_resonance": scene.given("growth").drive == "resonance",
             "output.quantities": observable_names(
-                *observable_places, excluded_flags=ObservableFlag.REQUIRES_SOLID
+                *observable_places, excluded_flags=ObservableTableFlag.REQUIRES_SOLID
             ),
         }
     )

@@ -46,9 +46,9 @@ from fenics_crack.fem import solid_mesher
 from fenics_crack.fem.cracks import CrackPath, Cracks, NamedParts
 from fenics_crack.fem.grading import (
     ElementInterval,
-    Grading,
+    PointGrading,
     Slit,
-    crack_gradings,
+    crack_tip_gradings,
     find_plate_columns_rows_and_slits,
 )
 from fenics_crack.model.factor import estimate_factor_bytes
@@ -76,17 +76,20 @@ def check_cell_count(
     size_note : str
         Text to add to the message, as the shortest element's length.
     """
-    n_dofs, allowed_cells = dofs_per_cell * n_cells, 5e6  # a mesh file may have any number of cells
+    n_dofs, max_n_cells_for_gmsh = (
+        dofs_per_cell * n_cells,
+        5e6,
+    )  # a mesh file may have any number of cells
     factor_bytes = estimate_factor_bytes(n_dofs, solid=scene.dimension == 3)
     assembled_bytes = 1500.0 * n_dofs  # bytes of mesh and matrices
     needed_bytes, machine_bytes = max(assembled_bytes, factor_bytes), machine_memory()
-    refusal_reason = f"{n_cells:.2g} cells are more than {allowed_cells:.0e}"
-    if n_cells <= allowed_cells:
+    refusal_reason = f"{n_cells:.2g} cells are more than {max_n_cells_for_gmsh:.0e}"
+    if n_cells <= max_n_cells_for_gmsh:
         memory_text = (
             f"{needed_bytes / 2**30:.0f} GiB, but this machine has {machine_bytes / 2**30:.3g} GiB"
         )
         refusal_reason = f"to solve {n_cells:.2g} cells takes about {memory_text}"
-    if n_cells > allowed_cells or needed_bytes > machine_bytes:
+    if n_cells > max_n_cells_for_gmsh or needed_bytes > machine_bytes:
         requirement = f"such that the mesh has fewer cells{size_note}: {refusal_reason}"
         raise InputError(f"mesh.{mesh_key}", getattr(scene.mesh, mesh_key), requirement)
 
@@ -164,16 +167,18 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     if scene.has_graded_lengths:
         disk_rim = DiskRim(unit_scene)
         get_group_entities = gmsh.model.getEntitiesForPhysicalGroup
-        left_curves, right_curves = (
-            get_group_entities(1, *facet_tags_by_group[side_name]).tolist()
-            for side_name in RIM_SIDE_NAMES
+        rim_left_curves, rim_right_curves = (
+            get_group_entities(1, *facet_tags_by_group[rim_side_name]).tolist()
+            for rim_side_name in RIM_SIDE_NAMES
         )
-        disk_rim.set_periodic(0, left_curves, right_curves)
+        disk_rim.set_periodic(0, rim_left_curves, rim_right_curves)
         _mesh_current_model_with_gradings(
-            scene, unit_scene, [*crack_gradings(unit_scene), *disk_rim.gradings()]
+            scene, unit_scene, [*crack_tip_gradings(unit_scene), *disk_rim.blade_corner_gradings()]
         )
         # The mesh is made: end the periodicity.
-        gmsh.model.mesh.setPeriodic(1, right_curves, right_curves, np.eye(4).ravel().tolist())
+        gmsh.model.mesh.setPeriodic(
+            1, rim_right_curves, rim_right_curves, np.eye(4).ravel().tolist()
+        )
     else:
         gmsh.model.mesh.generate(2)
     _scale_nodes(metres_per_unit)
@@ -199,77 +204,125 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     ``unit_scene`` is the scene in gmsh's unit of length. Returns gmsh's group tag for each side's
     name.
     """
-    _check_plate_cells(scene)
-    columns, rows, slits = find_plate_columns_rows_and_slits(unit_scene)
+    _check_plate_cell_count(scene)
+    column_intervals, row_intervals, slits = find_plate_columns_rows_and_slits(unit_scene)
     rim = None if unit_scene.disk is None else DiskRim(unit_scene)
-    xs, ys = ([0.0, *(interval.stop for interval in intervals)] for intervals in (columns, rows))
+    xs, ys = (
+        [0.0, *(interval.stop for interval in intervals)]
+        for intervals in (column_intervals, row_intervals)
+    )
     add_point = gmsh.model.geo.addPoint
     foot_heights = [0.0 if rim is None else rim.foot_height(x) for x in xs]
     corners = {
-        (i, j): add_point(x, y if j else foot_heights[i], 0.0)
-        for i, x in enumerate(xs)
-        for j, y in enumerate(ys)
+        (column_index, row_index): add_point(x, y if row_index else foot_heights[column_index], 0.0)
+        for column_index, x in enumerate(xs)
+        for row_index, y in enumerate(ys)
     }
-    doubled_ij = _find_doubled_corner_indices(slits, len(columns))
-    upper_corner_by_ij = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_ij}
+    doubled_corner_indices = _find_doubled_corner_indices(slits, len(column_intervals))
+    upper_corner_by_ij = {
+        (column_index, row_index): add_point(xs[column_index], ys[row_index], 0.0)
+        for column_index, row_index in doubled_corner_indices
+    }
     bottom_corner_by_ij = corners | upper_corner_by_ij  # corners of blocks above a crack
 
     horizontal_curves, vertical_curves = {}, {}
-    column_by_upper_ij = {
-        (i, row): columns[i] for row, crack_columns in slits for i in crack_columns
+    upper_face_interval_by_ij = {
+        (column_index, row): column_intervals[column_index]
+        for row, crack_columns in slits
+        for column_index in crack_columns
     }
     if scene.has_graded_lengths:  # only crack faces have a number of elements
-        columns, rows = (
+        column_intervals, row_intervals = (
             [replace(interval, n_elements=0) for interval in intervals]
-            for intervals in (columns, rows)
+            for intervals in (column_intervals, row_intervals)
         )
-    for i, column in enumerate(columns):
-        for j in range(len(ys)):
-            horizontal_curves[i, j] = _add_curve(
-                corners[i, j], corners[i + 1, j], column_by_upper_ij.get((i, j), column)
+    for column_index, column_interval in enumerate(column_intervals):
+        for row_index in range(len(ys)):
+            horizontal_curves[column_index, row_index] = _add_curve(
+                corners[column_index, row_index],
+                corners[column_index + 1, row_index],
+                upper_face_interval_by_ij.get((column_index, row_index), column_interval),
             )
-    for j, row_interval in enumerate(rows):
-        for i in range(len(xs)):
-            vertical_curves[i, j] = _add_curve(
-                bottom_corner_by_ij[i, j], corners[i, j + 1], row_interval
+    for row_index, row_interval in enumerate(row_intervals):
+        for column_index in range(len(xs)):
+            vertical_curves[column_index, row_index] = _add_curve(
+                bottom_corner_by_ij[column_index, row_index],
+                corners[column_index, row_index + 1],
+                row_interval,
             )
-    upper_curves = {
-        (i, j): _add_curve(bottom_corner_by_ij[i, j], bottom_corner_by_ij[i + 1, j], interval)
-        for (i, j), interval in column_by_upper_ij.items()
+    upper_crack_face_curves = {
+        (column_index, row_index): _add_curve(
+            bottom_corner_by_ij[column_index, row_index],
+            bottom_corner_by_ij[column_index + 1, row_index],
+            interval,
+        )
+        for (column_index, row_index), interval in upper_face_interval_by_ij.items()
     }
     surfaces = _add_surfaces(
-        len(columns), len(rows), horizontal_curves, vertical_curves, upper_curves
+        len(column_intervals),
+        len(row_intervals),
+        horizontal_curves,
+        vertical_curves,
+        upper_crack_face_curves,
     )
-    foot_curves = [horizontal_curves[i, 0] for i in range(len(columns))]
+    foot_curves = [
+        horizontal_curves[column_index, 0] for column_index in range(len(column_intervals))
+    ]
     sides: dict[str, tuple[int, list[int]]] = {"clamp": (1, foot_curves)}
     if rim is not None:
-        sides = rim.draw([corners[i, 0] for i in range(len(xs))], foot_curves, columns, surfaces)
+        sides = rim.draw(
+            [corners[column_index, 0] for column_index in range(len(xs))],
+            foot_curves,
+            column_intervals,
+            surfaces,
+        )
     _set_cell_kind(scene, surfaces)
 
     left_curves, right_curves = (
-        [vertical_curves[i, j] for j in range(len(rows))] for i in (0, len(columns))
+        [vertical_curves[column_index, row_index] for row_index in range(len(row_intervals))]
+        for column_index in (0, len(column_intervals))
     )
-    single_ij = [ij for ij in corners if ij not in doubled_ij]
+    single_corner_indices = [
+        corner_column_and_row
+        for corner_column_and_row in corners
+        if corner_column_and_row not in doubled_corner_indices
+    ]
     load_position = unit_scene.excitation.point
-    load_point_tags = [corners[i, j] for i, j in single_ij if (xs[i], ys[j]) == load_position]
+    load_point_tags = [
+        corners[column_index, row_index]
+        for column_index, row_index in single_corner_indices
+        if (xs[column_index], ys[row_index]) == load_position
+    ]
     groups: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),
         **sides,
-        "lower_lip": (1, [horizontal_curves[block_indices] for block_indices in upper_curves]),
-        "upper_lip": (1, list(upper_curves.values())),
+        "lower_lip": (
+            1,
+            [horizontal_curves[block_indices] for block_indices in upper_crack_face_curves],
+        ),
+        "upper_lip": (1, list(upper_crack_face_curves.values())),
         "load": (0, load_point_tags),
         "left": (1, left_curves),
         "right": (1, right_curves),
-        "top": (1, [horizontal_curves[i, len(rows)] for i in range(len(columns))]),
+        "top": (
+            1,
+            [
+                horizontal_curves[column_index, len(row_intervals)]
+                for column_index in range(len(column_intervals))
+            ],
+        ),
     }
-    tag_by_side = {name: group_tag for name, group_tag in _add_groups_and_find_tags(groups).items()
-                   if groups[name][0] == 1}  # fmt: skip
+    group_tag_by_side_name = {
+        name: group_tag
+        for name, group_tag in _add_groups_and_find_tags(groups).items()
+        if groups[name][0] == 1
+    }
     if rim is None:
-        tag_by_side["bottom"] = tag_by_side["clamp"]
-    return {name: (group_tag,) for name, group_tag in tag_by_side.items()}
+        group_tag_by_side_name["bottom"] = group_tag_by_side_name["clamp"]
+    return {name: (group_tag,) for name, group_tag in group_tag_by_side_name.items()}
 
 
-def _check_plate_cells(scene: Scene) -> None:
+def _check_plate_cell_count(scene: Scene) -> None:
     """Raise InputError if a plate would have too many cells (:func:`check_cell_count`)."""
     columns, rows, _ = find_plate_columns_rows_and_slits(scene)
     n_cells: float = math.prod(
@@ -388,7 +441,7 @@ def _add_curve(
 
 # --- the rim below a blade of a disk --------------------------------------------------------------
 
-BLADE_CORNER_LENGTH_TO_MESH_SIZE = 1.0 / 32.0
+BLADE_CORNER_ELEMENT_TO_MESH_SIZE = 1.0 / 32.0
 """Element length at the corners between blade and rim, relative to ``mesh.size``."""
 RIM_SIDE_NAMES = ("rim_left", "rim_right")
 """Names of a disk sector's sides. "left" and "right" are the sides of the blade."""
@@ -456,9 +509,9 @@ class DiskRim:
         """
         occ = gmsh.model.occ
         polar_corners = [
-            (corner_radius, corner_angle)
-            for corner_radius in (self.inner_radius, self.outer_radius)
-            for corner_angle in (-self.half_angle, self.half_angle)
+            (rim_corner_radius, rim_corner_angle)
+            for rim_corner_radius in (self.inner_radius, self.outer_radius)
+            for rim_corner_angle in (-self.half_angle, self.half_angle)
         ]
         rim_corner_positions = [self.point_at(*polar_corner) for polar_corner in polar_corners]
         left_inner_point, right_inner_point, left_outer_point, right_outer_point = (
@@ -483,7 +536,7 @@ class DiskRim:
         ]
         return list(occ.fuse(rim_dim_tags, blade_dim_tags)[0])
 
-    def gradings(self) -> list[Grading]:
+    def blade_corner_gradings(self) -> list[PointGrading]:
         """Return the grading of element lengths around the corners between blade and rim.
 
         The stress is infinite at the corners. The element length at a corner is ``mesh.size`` / 32.
@@ -492,12 +545,12 @@ class DiskRim:
         """
         blade_width, element_size = self.scene.geometry.sides[0], self.scene.mesh.given("size")
         return [
-            Grading(
-                (corner_x_position, self.foot_height(0.0)),
-                BLADE_CORNER_LENGTH_TO_MESH_SIZE * element_size,
+            PointGrading(
+                (blade_corner_x_position, self.foot_height(0.0)),
+                BLADE_CORNER_ELEMENT_TO_MESH_SIZE * element_size,
                 element_size / blade_width,
             )
-            for corner_x_position in (0.0, blade_width)
+            for blade_corner_x_position in (0.0, blade_width)
         ]
 
     def name_of(self, face_center: tuple[float, float, float]) -> str:
@@ -523,9 +576,15 @@ class DiskRim:
         The rotation by the sector's angle is in the plane of y and ``across_axis``: 0 (x) for a
         plate, 2 (z) for a solid. The tags belong to a plate's curves or a solid's surfaces.
         """
-        c, s = math.cos(2.0 * self.half_angle), math.sin(2.0 * self.half_angle)
+        cos_sector_angle, sin_sector_angle = (
+            math.cos(2.0 * self.half_angle),
+            math.sin(2.0 * self.half_angle),
+        )
         transformation_matrix, axis_point, plane_axes = np.eye(4), np.zeros(3), [1, across_axis]
-        transformation_matrix[np.ix_(plane_axes, plane_axes)] = [[c, -s], [s, c]]
+        transformation_matrix[np.ix_(plane_axes, plane_axes)] = [
+            [cos_sector_angle, -sin_sector_angle],
+            [sin_sector_angle, cos_sector_angle],
+        ]
         axis_point[plane_axes] = self.axis_y_position, self.blade_middle_position
         transformation_matrix[:3, 3] = axis_point - transformation_matrix[:3, :3] @ axis_point
         gmsh.model.mesh.setPeriodic(
@@ -550,11 +609,11 @@ class DiskRim:
             Dimension and gmsh's tags of the curves, by side: "clamp", "rim_left", "rim_right".
         """
         element_size, geo = _element_length_off_cracks(self.scene), gmsh.model.geo
-        rim_angle_beside_blade = self.half_angle - math.asin(
+        arc_angle_beside_blade = self.half_angle - math.asin(
             (foot_columns[-1].stop - self.blade_middle_position) / self.outer_radius
         )
         arc_and_radial_lengths = (
-            self.outer_radius * rim_angle_beside_blade,
+            self.outer_radius * arc_angle_beside_blade,
             self.outer_radius - self.inner_radius,
         )
         has_element_counts = foot_columns[0].n_elements > 0
@@ -565,10 +624,10 @@ class DiskRim:
             for length in arc_and_radial_lengths
         )
         center = geo.addPoint(self.blade_middle_position, self.axis_y_position, 0.0)
-        x_positions = [foot_columns[0].start, *(column.stop for column in foot_columns)]
+        foot_point_xs = [foot_columns[0].start, *(column.stop for column in foot_columns)]
         foot_angles = [
-            math.asin((x_position - self.blade_middle_position) / self.outer_radius)
-            for x_position in x_positions
+            math.asin((foot_point_x - self.blade_middle_position) / self.outer_radius)
+            for foot_point_x in foot_point_xs
         ]
         point_angles = [-self.half_angle, *foot_angles, self.half_angle]
         left_corner, right_corner = (
@@ -591,8 +650,8 @@ class DiskRim:
             for arc_end_points, interval in arc_ends_and_intervals
         ]
         outer_curves = [
-            _add_curve(start, end, interval_beside_blade, center)
-            for start, end in (outer_points[:2], outer_points[-2:])
+            _add_curve(start_point_tag, end_point_tag, interval_beside_blade, center)
+            for start_point_tag, end_point_tag in (outer_points[:2], outer_points[-2:])
         ]
         outer_curves[1:1] = foot_curves
         for column_index in range(len(arc_intervals)):
@@ -614,7 +673,7 @@ class DiskRim:
 
 
 def _mesh_current_model_with_gradings(
-    scene: Scene, unit_scene: Scene, gradings: list[Grading]
+    scene: Scene, unit_scene: Scene, gradings: list[PointGrading]
 ) -> None:
     """Mesh gmsh's current model with elements of ``mesh.size``, shorter near given points.
 
@@ -630,11 +689,17 @@ def _mesh_current_model_with_gradings(
     point_tags = [tag for _, tag in gmsh.model.getEntities(0)]
     points = np.array([gmsh.model.getValue(0, tag, [])[:2] for tag in point_tags])
     length_fields = []
-    for grading in gradings:
-        graded_point = point_tags[np.linalg.norm(points - grading.point, axis=1).argmin()]
-        lengths = element_size, grading.min_length, grading.length_per_distance
+    for point_grading in gradings:
+        graded_point_tag = point_tags[np.linalg.norm(points - point_grading.point, axis=1).argmin()]
+        size_min_length_and_slope = (
+            element_size,
+            point_grading.min_length,
+            point_grading.length_per_distance,
+        )
         length_fields.append(
-            solid_mesher.add_graded_field("PointsList", [graded_point], *lengths)[1]
+            solid_mesher.add_graded_field(
+                "PointsList", [graded_point_tag], *size_min_length_and_slope
+            )[1]
         )
     solid_mesher.use_smallest_length(length_fields)
     solid_mesher.set_size_options(FromPoints=0, ExtendFromBoundary=0, FromCurvature=0)
@@ -651,14 +716,14 @@ def meshing_refusal(scene: Scene, reason_text: str) -> InputError:
     without cracks, ``mesh.size``.
     """
     crack_size_by_key = {
-        f"{crack_key}.{size_key}": crack_size
+        f"{crack_key}.{crack_size_key}": crack_size
         for crack_key, crack in scene.crack_by_name.items()
-        for size_key in ("depth", "length", "radii")
-        if (crack_size := getattr(crack, size_key)) is not None
+        for crack_size_key in ("depth", "length", "radii")
+        if (crack_size := getattr(crack, crack_size_key)) is not None
     }
     smallest_size_key = min(
         crack_size_by_key,
-        key=lambda size_key: np.min(crack_size_by_key[size_key]),
+        key=lambda crack_size_key: np.min(crack_size_by_key[crack_size_key]),
         default="mesh.size",
     )
     geometry_kind = scene.geometry.kind

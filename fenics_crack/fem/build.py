@@ -63,7 +63,7 @@ from fenics_crack.fem.elasticity import (
     stress_expression,
     thickness_constant,
 )
-from fenics_crack.fem.loads import assemble_loads, make_clamp
+from fenics_crack.fem.loads import assemble_loads, make_clamp_for_reactions
 from fenics_crack.fem.plate import Dofs, build_plate_or_solid_mesh
 from fenics_crack.fem.setting import clearance_of, damping_rule_of
 from fenics_crack.model.body import Body
@@ -124,24 +124,27 @@ def pair_crack_faces(
     node_table_by_face = []
     for face_name in CRACK_FACE_NAMES:
         nodes = dofs.nodes_on(face_name, pressure_space)
-        node_table = np.column_stack([nodes + first_node, node_areas[nodes], points[nodes]])
-        node_table_by_face.append(gather_rows(dofs.comm, node_table))
+        face_node_table = np.column_stack([nodes + first_node, node_areas[nodes], points[nodes]])
+        node_table_by_face.append(gather_rows(dofs.comm, face_node_table))
     lower_node_table, upper_node_table, crack_of_pair, distances_on_crack, n_inside = (
         _match_face_nodes(part_mesh.crack_paths_or_surfaces, *node_table_by_face)
     )
     lower_nodes = lower_node_table[:, 0].astype(int)
-    lower_gap = pressure_gap_columns[:, lower_nodes]
-    gap = lower_gap + pressure_gap_columns[:, upper_node_table[:, 0].astype(int)]
+    lower_gap_matrix = pressure_gap_columns[:, lower_nodes]
+    gap_matrix = lower_gap_matrix + pressure_gap_columns[:, upper_node_table[:, 0].astype(int)]
     points = lower_node_table[:, 2:]
     areas = lower_node_table[:, 1]
     if max_patches is not None:
-        pair_node_index, shares = _find_patch_nodes_and_shares(
+        pair_node_index, pressure_shares = _find_patch_nodes_and_shares(
             points, crack_of_pair, distances_on_crack, n_inside, max_patches
         )
     else:
-        pair_node_index, shares = np.arange(n_inside), sparse.eye(len(points), n_inside).tocsr()
+        pair_node_index, pressure_shares = (
+            np.arange(n_inside),
+            sparse.eye(len(points), n_inside).tocsr(),
+        )
         if dimension == 3:
-            shares = _front_pressure_share_matrix(
+            pressure_shares = _matrix_distributing_front_pressure(
                 dofs, pressure_space, both_faces_measure, lower_nodes, n_inside
             )
         if mouth_only:
@@ -149,29 +152,36 @@ def pair_crack_faces(
                 part_mesh.crack_paths_or_surfaces,
                 crack_of_pair[:n_inside], distances_on_crack[:n_inside],
             ).values()])  # fmt: skip
-            shares = shares[:, pair_node_index]
-    nodal_force_shares = sparse.csc_matrix(shares.multiply(areas[:, None]))
-    areas = shares.T @ areas
+            pressure_shares = pressure_shares[:, pair_node_index]
+    nodal_force_shares = sparse.csc_matrix(pressure_shares.multiply(areas[:, None]))
+    areas = pressure_shares.T @ areas
     nodal_force_shares.data /= np.repeat(areas, np.diff(nodal_force_shares.indptr))
-    gap, lower_gap = gap @ nodal_force_shares, lower_gap @ nodal_force_shares
-    fields: dict[str, Any] = {"nodes": points, "pressure_matrix": shares} if dimension == 3 else {}
+    gap_matrix, lower_gap_matrix = (
+        gap_matrix @ nodal_force_shares,
+        lower_gap_matrix @ nodal_force_shares,
+    )
+    pair_fields_of_solid: dict[str, Any] = (
+        {"nodes": points, "pressure_matrix": pressure_shares} if dimension == 3 else {}
+    )
     points, crack_of_pair, distances_on_crack = (
-        values[pair_node_index] for values in (points, crack_of_pair, distances_on_crack)
+        node_values[pair_node_index] for node_values in (points, crack_of_pair, distances_on_crack)
     )
     if dimension == 3:
-        fields["tangential_gap_matrix"] = _free_rows(
-            _make_tangential_gap_matrix(gap, lower_gap, dofs.comm), dofs
+        pair_fields_of_solid["tangential_gap_matrix"] = _free_rows(
+            _make_tangential_gap_matrix(gap_matrix, lower_gap_matrix, dofs.comm), dofs
         )
     pairs = Pairs(
         points, areas, crack_of_pair, distances_on_crack,
         _watched_pair_by_name(part_mesh.crack_paths_or_surfaces, crack_of_pair, distances_on_crack),
-        **fields,
+        **pair_fields_of_solid,
     )  # fmt: skip
-    tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
-    return _free_rows(gap, dofs), tangential, pairs
+    tangential = (
+        _free_rows(_rotate_nodal_vectors_90_degrees(gap_matrix), dofs) if dimension == 2 else None
+    )
+    return _free_rows(gap_matrix, dofs), tangential, pairs
 
 
-def _front_pressure_share_matrix(
+def _matrix_distributing_front_pressure(
     dofs: Dofs, space: Any, both_faces_measure: Any, node_numbers: np.ndarray, n_inside: int
 ) -> sparse.csr_matrix:
     """Return the matrix S that replaces the pressure functions of nodes on crack fronts.
@@ -199,24 +209,30 @@ def _front_pressure_share_matrix(
     (n, n_inside)
         S.
     """
-    overlap_form = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * both_faces_measure
-    petsc_overlap_matrix = compat.assembled_petsc_matrix(overlap_form)
-    local_overlap_coo = local_rows(petsc_overlap_matrix).tocoo()
-    petsc_overlap_matrix.destroy()
+    basis_overlap_form = (
+        ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * both_faces_measure
+    )
+    petsc_basis_overlap_matrix = compat.assembled_petsc_matrix(basis_overlap_form)
+    local_basis_overlap_coo = local_rows(petsc_basis_overlap_matrix).tocoo()
+    petsc_basis_overlap_matrix.destroy()
     first_node = space.dofmap.index_map.local_range[0]
-    overlap_triplets = gather_rows(
+    basis_overlap_triplets = gather_rows(
         dofs.comm,
         np.column_stack(
-            [local_overlap_coo.row + first_node, local_overlap_coo.col, local_overlap_coo.data]
+            [
+                local_basis_overlap_coo.row + first_node,
+                local_basis_overlap_coo.col,
+                local_basis_overlap_coo.data,
+            ]
         ),
     )
     n_global_nodes = space.dofmap.index_map.size_global
-    overlap_matrix = sparse.csr_matrix(
-        (overlap_triplets[:, 2], overlap_triplets[:, :2].astype(int).T),
+    basis_overlap_matrix = sparse.csr_matrix(
+        (basis_overlap_triplets[:, 2], basis_overlap_triplets[:, :2].astype(int).T),
         (n_global_nodes, n_global_nodes),
     )
     return make_matrix_extending_pressures_to_front(
-        overlap_matrix[node_numbers[n_inside:]][:, node_numbers[:n_inside]]
+        basis_overlap_matrix[node_numbers[n_inside:]][:, node_numbers[:n_inside]]
     )
 
 
@@ -242,15 +258,17 @@ def _make_tangential_gap_matrix(gap: Any, lower_gap: Any, comm: MPI.Comm) -> spa
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     first_tangents = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
     first_tangents /= np.linalg.norm(first_tangents, axis=1)[:, None]
-    normal_components = sum(
+    gap_components_along_normal = sum(
         gap[axis_index::3] @ sparse.diags(normals[:, axis_index]) for axis_index in range(3)
     )
     return sparse.hstack([
         sum(
             sparse.kron(
-                normal_components @ sparse.diags(tangent_components), axis_direction[:, None]
+                gap_components_along_normal @ sparse.diags(tangent_components_along_axis),
+                axis_direction[:, None]
             )
-            for tangent_components, axis_direction in zip(tangent_vectors.T, np.eye(3), strict=True)
+            for tangent_components_along_axis,
+            axis_direction in zip(tangent_vectors.T, np.eye(3), strict=True)
         )
         for tangent_vectors in np.round([first_tangents, np.cross(normals, first_tangents)], 12)
     ]).tocsr()  # fmt: skip
@@ -290,25 +308,34 @@ def _find_patch_nodes_and_shares(
     pressure_shares : (n, m)
         Value of each patch's pressure function at each node, 0 to 1.
     """
-    patch_nodes, pressure_shares = np.zeros(0, dtype=int), np.zeros((len(points), 0))
+    patch_center_nodes, pressure_shares = np.zeros(0, dtype=int), np.zeros((len(points), 0))
     for crack_number in np.unique(crack_of_node):
         crack_nodes = np.flatnonzero(crack_of_node[:n_inside] == crack_number)
-        n_patches = min(max_patches, len(crack_nodes))
+        n_patches_on_crack = min(max_patches, len(crack_nodes))
         if points.shape[1] == 2:
             crack_nodes = crack_nodes[
-                np.arange(n_patches) * (len(crack_nodes) - 1) // max(n_patches - 1, 1)
+                np.arange(n_patches_on_crack)
+                * (len(crack_nodes) - 1)
+                // max(n_patches_on_crack - 1, 1)
             ]
             patch_value_arrays = [
-                np.interp(distances_on_crack, distances_on_crack[crack_nodes], unit_patch_values)
-                for unit_patch_values in np.eye(n_patches)
+                np.interp(
+                    distances_on_crack, distances_on_crack[crack_nodes], patch_values_at_centers
+                )
+                for patch_values_at_centers in np.eye(n_patches_on_crack)
             ]
         else:
-            crack_nodes = crack_nodes[_select_distant_points(points[crack_nodes], n_patches)]
-            distances_to_patch_nodes = np.linalg.norm(points[:, None] - points[crack_nodes], axis=2)
-            patch_value_arrays = [
-                distances_to_patch_nodes.argmin(axis=1) == patch for patch in range(n_patches)
+            crack_nodes = crack_nodes[
+                _select_distant_points(points[crack_nodes], n_patches_on_crack)
             ]
-        patch_nodes = np.append(patch_nodes, crack_nodes)
+            distances_to_patch_centers = np.linalg.norm(
+                points[:, None] - points[crack_nodes], axis=2
+            )
+            patch_value_arrays = [
+                distances_to_patch_centers.argmin(axis=1) == patch_index
+                for patch_index in range(n_patches_on_crack)
+            ]
+        patch_center_nodes = np.append(patch_center_nodes, crack_nodes)
         pressure_shares = np.column_stack(
             [
                 pressure_shares,
@@ -318,7 +345,7 @@ def _find_patch_nodes_and_shares(
                 ),
             ]
         )
-    return patch_nodes, sparse.csr_matrix(pressure_shares)
+    return patch_center_nodes, sparse.csr_matrix(pressure_shares)
 
 
 def _select_distant_points(points: np.ndarray, n_points: int) -> np.ndarray:
@@ -336,7 +363,7 @@ def _select_distant_points(points: np.ndarray, n_points: int) -> np.ndarray:
     return np.sort(selected_indices)
 
 
-def _rotate_by_right_angle(columns: Any) -> sparse.csr_matrix:
+def _rotate_nodal_vectors_90_degrees(columns: Any) -> sparse.csr_matrix:
     """Rotate m fields of plane nodal vectors by a right angle: (2 n_nodes, m)."""
     rotation = sparse.kron(sparse.eye(columns.shape[0] // 2), [[0.0, -1.0], [1.0, 0.0]])
     return rotation.tocsr() @ columns
@@ -430,9 +457,12 @@ def _assemble_pressure_gap_columns(
         Vector b of every corner, with the rows of this rank's dofs.
     """
     pressure_space = compat.function_space(dofs.space.mesh, 1, vectors=False)
-    facet_normal, pressure = ufl.FacetNormal(pressure_space.mesh), ufl.TrialFunction(pressure_space)
+    facet_normal, pressure_trial_function = (
+        ufl.FacetNormal(pressure_space.mesh),
+        ufl.TrialFunction(pressure_space),
+    )
     work_form = (
-        ufl.inner(thickness * pressure * facet_normal, ufl.TestFunction(dofs.space))
+        ufl.inner(thickness * pressure_trial_function * facet_normal, ufl.TestFunction(dofs.space))
         * both_faces_measure
     )
     petsc_gap_matrix = compat.assembled_petsc_matrix(work_form)
@@ -545,18 +575,21 @@ def _watched_pair_by_name(
     pair_by_name: dict[str, int] = {}
     crack: Any
     for crack_number, crack in enumerate(cracks):
-        crack_pairs = np.flatnonzero(crack_of_pair == crack_number)
-        place_name, watched_distance = crack.watched_name_and_position
+        pair_indices_of_crack = np.flatnonzero(crack_of_pair == crack_number)
+        place_name, watched_distance = crack.watched_name_and_distance
         if len(cracks) > 1:
             place_name += f" of crack {crack_number + 1}"
-        if len(crack_pairs):
-            largest_distance = float(distances_on_crack[crack_pairs].max())
+        if len(pair_indices_of_crack):
+            largest_distance_on_crack = float(distances_on_crack[pair_indices_of_crack].max())
             offsets = np.abs(
-                distances_on_crack[crack_pairs] - min(watched_distance, largest_distance)
+                distances_on_crack[pair_indices_of_crack]
+                - min(watched_distance, largest_distance_on_crack)
             )
             # Of pairs with equal distances the first, whatever the rounding.
-            is_nearest = offsets <= offsets.min() + RELATIVE_POSITION_TOLERANCE * largest_distance
-            pair_by_name[place_name] = int(crack_pairs[np.argmax(is_nearest)])
+            is_nearest = (
+                offsets <= offsets.min() + RELATIVE_POSITION_TOLERANCE * largest_distance_on_crack
+            )
+            pair_by_name[place_name] = int(pair_indices_of_crack[np.argmax(is_nearest)])
     return pair_by_name
 
 
@@ -604,11 +637,13 @@ def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structu
     structure, dofs = _assemble_structure_at_rest(scene, comm)
     if scene.speed > 0.0:
         begin_stage("rotation")
-        structure = assemble_rotation(scene, dofs, structure).at(scene.speed)
+        structure = assemble_rotation(scene, dofs, structure).structure_rotating_at_speed(
+            scene.speed
+        )
     return structure
 
 
-def assemble_body_fields_of_load(scene: Scene, structure: Structure) -> dict[str, Any]:
+def assemble_force_watched_and_clamp(scene: Scene, structure: Structure) -> dict[str, Any]:
     """Assemble a scene's loads on the mesh of a structure without rotation (collective).
 
     Returns
@@ -621,12 +656,12 @@ def assemble_body_fields_of_load(scene: Scene, structure: Structure) -> dict[str
     _, mass_form = _make_stiffness_and_mass_forms(scene, dofs.space)
     mass_matrix = compat.assembled_petsc_matrix(mass_form)
     nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_matrix)
-    clamp = make_clamp(dofs, mass_matrix, nodal_force_harmonics)
+    clamp_for_reactions = make_clamp_for_reactions(dofs, mass_matrix, nodal_force_harmonics)
     mass_matrix.destroy()
     return {
         "force": dofs.restrict_to_free(nodal_force_harmonics),
         "watched": watched_vector,
-        "clamp": clamp,
+        "clamp": clamp_for_reactions,
     }
 
 
@@ -643,9 +678,9 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
         and scene.mesh.layout == "file"
         and (scene.contact or scene.crack_by_name)
     ):
-        group_kind_words = "curves" if scene.dimension == 2 else "surfaces"
+        curves_or_surfaces_word = "curves" if scene.dimension == 2 else "surfaces"
         requirement = (
-            f"a mesh with {group_kind_words} named 'crack', or 'lower_lip' and 'upper_lip'"
+            f"a mesh with {curves_or_surfaces_word} named 'crack', or 'lower_lip' and 'upper_lip'"
         )
         requirement += ", as the scene has [crack] or [contact]"
         raise InputError("mesh.file", scene.mesh.file, requirement)
@@ -660,17 +695,19 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
     )
     mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
     thickness, max_patches = thickness_constant(scene, space), scene.mesh.patches
-    gap, tangential, pairs = pair_crack_faces(
+    gap_matrix, tangential, pairs = pair_crack_faces(
         dofs, thickness, mouth_only=mouth_only, max_patches=max_patches
     )
     nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_with_clamped_dofs)
-    clamp = make_clamp(dofs, mass_with_clamped_dofs, nodal_force_harmonics)
+    clamp_for_reactions = make_clamp_for_reactions(
+        dofs, mass_with_clamped_dofs, nodal_force_harmonics
+    )
     body = Body(
         dofs.restrict_matrix(mass_with_clamped_dofs),
-        dofs.restrict_matrix(stiffness_with_clamped_dofs), gap,
+        dofs.restrict_matrix(stiffness_with_clamped_dofs), gap_matrix,
         dofs.restrict_to_free(nodal_force_harmonics), clearance_of(scene, pairs),
         damping=damping_rule_of(scene.damping), tangential=tangential, nodes=dofs.make_node_data(),
-        pairs=pairs, watched=watched_vector, clamp=clamp,
+        pairs=pairs, watched=watched_vector, clamp=clamp_for_reactions,
     )  # fmt: skip
     return Structure(body), dofs
 
@@ -743,7 +780,7 @@ def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
     return _replace_crack_length(scene, find_crack_length(scene, comm))
 
 
-_LAST_TABLES_AND_LENGTH: list[tuple[str, float]] = []
+_LAST_TABLES_AND_CRACK_LENGTH: list[tuple[str, float]] = []
 """Crack length [m] found last in this process, with the text of the scene's tables for geometry,
 crack, material and mesh. Empty before the first search."""
 
@@ -782,8 +819,10 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     if crack is None or crack.first_omega is None or width is None:
         raise InputError("crack.first_omega", None, "given: a finite number > 0 [rad/s]")
     tables_text = repr((scene.geometry, crack, scene.material, scene.mesh))
-    if (known_length := comm.bcast(dict(_LAST_TABLES_AND_LENGTH).get(tables_text))) is not None:
-        return float(known_length)
+    if (
+        stored_crack_length := comm.bcast(dict(_LAST_TABLES_AND_CRACK_LENGTH).get(tables_text))
+    ) is not None:
+        return float(stored_crack_length)
     target_omega, scene_at_rest = crack.first_omega, scene.without_rotation()
 
     @cache
@@ -800,15 +839,15 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     max_omega = target_omega + excess_frequency(min_length)
     min_omega = target_omega + excess_frequency(max_length)
     if not min_omega <= target_omega <= max_omega:
-        range_text = f"between {min_omega:.1f} and {max_omega:.1f} rad/s"
-        requirement = f"{range_text}, as for cracks of 95 % and 1 % of the {width_words}"
+        omega_range_text = f"between {min_omega:.1f} and {max_omega:.1f} rad/s"
+        requirement = f"{omega_range_text}, as for cracks of 95 % and 1 % of the {width_words}"
         raise InputError("crack.first_omega", target_omega, requirement)
     import scipy.optimize  # slow to import, and most scenes give a length
 
     crack_length_at_target = float(
         scipy.optimize.brentq(excess_frequency, min_length, max_length, xtol=1e-5 * width)
     )
-    _LAST_TABLES_AND_LENGTH[:] = [(tables_text, crack_length_at_target)]
+    _LAST_TABLES_AND_CRACK_LENGTH[:] = [(tables_text, crack_length_at_target)]
     return crack_length_at_target
 
 

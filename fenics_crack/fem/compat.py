@@ -294,8 +294,12 @@ def facet_corner_nodes(mesh: Any, facets: np.ndarray) -> np.ndarray:
     ``facets`` (n,) and nodes are local numbers. k is 2 for edges, 3 or 4 for facets of solids.
     """
     topology, dimension = mesh.topology, mesh.topology.dim
-    for dimensions in ((dimension - 1, 0), (dimension - 1, dimension), (dimension, dimension - 1)):
-        topology.create_connectivity(*dimensions)
+    for connected_dimensions in (
+        (dimension - 1, 0),
+        (dimension - 1, dimension),
+        (dimension, dimension - 1),
+    ):
+        topology.create_connectivity(*connected_dimensions)
     corner_order = [0, 1, 3, 2] if topology.cell_type.name == "hexahedron" else [*range(dimension)]
     if not len(facets):  # DOLFINx 0.9 divides by their number
         return np.zeros((0, len(corner_order)), dtype=np.int32)
@@ -326,8 +330,8 @@ def vtk_cells_and_type(space: Any) -> tuple[np.ndarray, int]:
     vtk_type : int
         VTK's number of the cell type; 0 if there are no cells.
     """
-    make_mesh = getattr(dolfinx.plot, "vtk_mesh", None) or dolfinx.plot.create_vtk_mesh
-    cells, cell_types, _ = make_mesh(space)
+    make_vtk_arrays = getattr(dolfinx.plot, "vtk_mesh", None) or dolfinx.plot.create_vtk_mesh
+    cells, cell_types, _ = make_vtk_arrays(space)
     n_nodes_per_cell = int(cells[0]) if len(cells) else 1
     return cells.reshape(-1, n_nodes_per_cell + 1)[:, 1:], int(cell_types[0]) if len(
         cell_types

@@ -72,7 +72,7 @@ class CrackPath:
         return np.concatenate([[0.0], np.cumsum(edge_lengths)])
 
     @property
-    def watched_name_and_position(self) -> tuple[str, float]:
+    def watched_name_and_distance(self) -> tuple[str, float]:
         """Return the name of the watched contact pair, and the distance along the path [m].
 
         Results report this pair. It is at the mouth, distance 0, or for a crack inside in the
@@ -82,7 +82,7 @@ class CrackPath:
             return "the mouth", 0.0
         return "the middle", 0.5 * self.corner_arc_lengths[-1]
 
-    def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def find_distances_and_positions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Find the nearest point on the path for each of n points (n, 2) [m].
 
         Returns
@@ -92,7 +92,7 @@ class CrackPath:
         positions : (n,) [m]
             Distance along the path from the first point to the nearest point.
         """
-        distances_to_edges, edge_fractions = _locate_on_edges(points, self.edges)
+        distances_to_edges, edge_fractions = _distances_and_fractions_on_edges(points, self.edges)
         corner_arc_lengths = self.corner_arc_lengths
         nearest_arc_lengths = corner_arc_lengths[:-1] + edge_fractions * np.diff(corner_arc_lengths)
         edge_index, point_index = distances_to_edges.argmin(axis=1), np.arange(len(points))
@@ -106,7 +106,7 @@ class CrackPath:
         Both results are 1e-3 of the crack's length from the given point. With 1e-6 of the length as
         tolerance, the result is None if the given point is off the crack or at a tip.
         """
-        (distance_to_crack,), (arc_length,) = self.locate(np.array([point]))
+        (distance_to_crack,), (arc_length,) = self.find_distances_and_positions(np.array([point]))
         path_length = float(self.corner_arc_lengths[-1])
         tip_distance = (
             path_length - arc_length
@@ -142,7 +142,7 @@ class CrackSurface:
     has_mouth: bool
 
     @property
-    def watched_name_and_position(self) -> tuple[str, float]:
+    def watched_name_and_distance(self) -> tuple[str, float]:
         """Return the name of the watched contact pair, and infinity as distance from the front.
 
         Results report this pair. Infinity selects the pair farthest from the front.
@@ -154,7 +154,7 @@ class CrackSurface:
         """Return the crack's largest extent along x, y or z [m]."""
         return float(np.ptp(self.triangles.reshape(-1, 3), axis=0).max())
 
-    def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def find_distances_and_positions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the distances of points (n, 3) [m] from the crack's surface and front.
 
         Returns
@@ -165,19 +165,21 @@ class CrackSurface:
             Distance between each point and the front, at most twice the crack's size. Without a
             front all distances are this maximum.
         """
-        from fenics_crack.fem.solid_mesher import pairwise_triangle_distances  # it imports gmsh
+        from fenics_crack.fem.solid_mesher import point_to_triangle_distances  # it imports gmsh
 
         surface_distances, front_distances = np.empty(len(points)), np.empty(len(points))
         # Limit the memory: two million distances at a time.
         block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front_chords)))
         for block_start in range(0, len(points), block_size):
             point_slice = slice(block_start, block_start + block_size)
-            surface_distances[point_slice] = pairwise_triangle_distances(
+            surface_distances[point_slice] = point_to_triangle_distances(
                 points[point_slice], self.triangles
             ).min(axis=1)
-            edge_distances, _ = _locate_on_edges(points[point_slice], self.front_chords)
+            front_edge_distances, _ = _distances_and_fractions_on_edges(
+                points[point_slice], self.front_chords
+            )
             # The bound is larger than any distance between the surface and its front.
-            front_distances[point_slice] = edge_distances.min(axis=1, initial=2.0 * self.size)
+            front_distances[point_slice] = front_edge_distances.min(axis=1, initial=2.0 * self.size)
         return surface_distances, front_distances
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
@@ -186,11 +188,11 @@ class CrackSurface:
         Both results are 1e-3 of the crack's size from the given point. With 1e-6 of the size as
         tolerance, the result is None if the given point is off the crack or on a front.
         """
-        from fenics_crack.fem.solid_mesher import pairwise_triangle_distances  # it imports gmsh
+        from fenics_crack.fem.solid_mesher import point_to_triangle_distances  # it imports gmsh
 
         position = np.asarray(point, dtype=float)
-        (distance_to_crack,), (front_distance,) = self.locate(position[None])
-        nearest_triangle = pairwise_triangle_distances(position[None], self.triangles).argmin()
+        (distance_to_crack,), (front_distance,) = self.find_distances_and_positions(position[None])
+        nearest_triangle = point_to_triangle_distances(position[None], self.triangles).argmin()
         normal = size_weighted_normals(self.triangles[[nearest_triangle]])[0]
         return _points_on_both_sides(point, distance_to_crack, front_distance, normal, self.size)
 
@@ -213,7 +215,9 @@ NamedParts = tuple[dict[str, tuple[int, ...]], dict[str, tuple[float, ...]]]
 """gmsh's facet group tags by name of a curve or surface, and positions by name of a point [m]."""
 
 
-def _locate_on_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _distances_and_fractions_on_edges(
+    points: np.ndarray, edges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Find the nearest point on each of m edges (m, 2, d) to each of n points (n, d).
 
     Returns
@@ -318,7 +322,7 @@ def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndar
         front.
     """
     distances_to_cracks, positions_on_cracks = np.array(
-        [crack.locate(points) for crack in cracks]
+        [crack.find_distances_and_positions(points) for crack in cracks]
     ).transpose(1, 0, 2)
     nearest_crack_of_point = distances_to_cracks.argmin(axis=0)
     return nearest_crack_of_point, positions_on_cracks[
@@ -411,20 +415,20 @@ def find_crack_paths(
     InputError
         The two faces are the same curve, or a crack branches or is closed.
     """
-    common_nodes = np.intersect1d(lower_edges, upper_edges)
-    if len(common_nodes) == len(np.unique(lower_edges)):
+    nodes_on_both_faces = np.intersect1d(lower_edges, upper_edges)
+    if len(nodes_on_both_faces) == len(np.unique(lower_edges)):
         requirement = (
             "different nodes at the same places, except at the tips; or name one curve 'crack'"
         )
         raise InputError("lips", "the same nodes for 'lower_lip' and 'upper_lip'", requirement)
     crack_paths = []
-    _check_face_nodes(lower_edges, common_nodes, positions)
+    _check_cracks_do_not_branch(lower_edges, nodes_on_both_faces, positions)
     # Cracks that share a tip are different: number the tips of each edge anew.
-    new_tip_numbers = len(positions) + np.arange(lower_edges.size).reshape(lower_edges.shape)
-    is_tip = np.isin(lower_edges, common_nodes)
-    numbered_nodes = np.append(np.arange(len(positions)), lower_edges.ravel())
-    for chain in find_node_chains(np.where(is_tip, new_tip_numbers, lower_edges)):
-        chain_nodes = numbered_nodes[chain]
+    distinct_tip_numbers = len(positions) + np.arange(lower_edges.size).reshape(lower_edges.shape)
+    is_tip = np.isin(lower_edges, nodes_on_both_faces)
+    node_of_number = np.append(np.arange(len(positions)), lower_edges.ravel())
+    for chain_numbers in find_node_chains(np.where(is_tip, distinct_tip_numbers, lower_edges)):
+        chain_nodes = node_of_number[chain_numbers]
         if chain_nodes[0] == chain_nodes[-1]:
             requirement = (
                 "cracks with two ends; a closed curve would cut a piece out of the structure"
@@ -433,7 +437,10 @@ def find_crack_paths(
         first_end_position, last_end_position = (
             tuple(positions[chain_nodes[end_index]]) for end_index in (0, -1)
         )
-        are_ends_at_mouths = chain_nodes[0] not in common_nodes, chain_nodes[-1] not in common_nodes
+        are_ends_at_mouths = (
+            chain_nodes[0] not in nodes_on_both_faces,
+            chain_nodes[-1] not in nodes_on_both_faces,
+        )
         is_reversed = (
             last_end_position < first_end_position
             if are_ends_at_mouths[0] == are_ends_at_mouths[1]
@@ -444,14 +451,16 @@ def find_crack_paths(
     return tuple(sorted(crack_paths, key=lambda crack_path: tuple(crack_path.points[0, ::-1])))
 
 
-def _check_face_nodes(edges: np.ndarray, tip_nodes: np.ndarray, positions: np.ndarray) -> None:
+def _check_cracks_do_not_branch(
+    edges: np.ndarray, tip_nodes: np.ndarray, positions: np.ndarray
+) -> None:
     """Raise InputError if a crack branches: more than two edges of a face meet at a node.
 
     ``edges`` (n, 2) are the nodes of each edge, ``positions`` (n_nodes, 2) [m] of all nodes.
     ``tip_nodes``, at which both faces meet, are allowed.
     """
-    edge_nodes, edge_counts = np.unique(edges, return_counts=True)
-    for edge_node, n_node_edges in zip(edge_nodes, edge_counts, strict=True):
+    edge_nodes, n_edges_at_nodes = np.unique(edges, return_counts=True)
+    for edge_node, n_node_edges in zip(edge_nodes, n_edges_at_nodes, strict=True):
         if n_node_edges > 2 and edge_node not in tip_nodes:
             problem = (
                 f"{n_node_edges} edges of a crack face at {format_point(positions[edge_node], 'g')}"
@@ -471,15 +480,15 @@ def find_node_chains(edges: np.ndarray) -> list[np.ndarray]:
     edge_labels, chains = label_connected_rows(edges), []
     for label in range(edge_labels.max(initial=-1) + 1):
         chain_edges = edges[edge_labels == label]
-        nodes, edge_ends, edge_counts = np.unique(
+        nodes, edge_ends, n_edges_at_nodes = np.unique(
             chain_edges, return_inverse=True, return_counts=True
         )
-        end_nodes = np.flatnonzero(edge_counts == 1)
+        end_node_indices = np.flatnonzero(n_edges_at_nodes == 1)
         graph_triplets = np.ones(len(chain_edges)), tuple(edge_ends.reshape(-1, 2).T)
         graph = sparse.csr_matrix(graph_triplets, (len(nodes), len(nodes)))
-        first_node = end_nodes[0] if len(end_nodes) else 0
-        chain = nodes[depth_first_order(graph, first_node, directed=False)[0]]
-        chains.append(chain if len(end_nodes) else np.append(chain, chain[0]))
+        first_node_index = end_node_indices[0] if len(end_node_indices) else 0
+        chain = nodes[depth_first_order(graph, first_node_index, directed=False)[0]]
+        chains.append(chain if len(end_node_indices) else np.append(chain, chain[0]))
     return sorted(chains, key=lambda chain: (chain[0] == chain[-1], chain[0]))
 
 
@@ -503,18 +512,23 @@ def find_crack_surfaces(
     rim_edges = polygon_edges[edge_facet_counts == 1]
     is_front_edge = np.isin(rim_edges, upper_facets).all(axis=1)
     facet_labels, crack_surfaces = label_connected_rows(lower_facets), []
-    triangle_columns = [[0, 1, 2], [0, 2, 3]][: lower_facets.shape[1] - 2]
+    triangle_corner_columns = [[0, 1, 2], [0, 2, 3]][: lower_facets.shape[1] - 2]
     for crack_index in range(facet_labels.max() + 1):
         crack_facets = lower_facets[facet_labels == crack_index]
         is_edge_on_crack = np.isin(rim_edges, crack_facets).all(axis=1)
         triangle_positions = positions[
-            np.concatenate([crack_facets[:, corner_columns] for corner_columns in triangle_columns])
+            np.concatenate(
+                [
+                    crack_facets[:, columns_of_triangle_corners]
+                    for columns_of_triangle_corners in triangle_corner_columns
+                ]
+            )
         ]
-        front_edge_positions = positions[rim_edges[is_edge_on_crack & is_front_edge]]
+        front_edge_end_points = positions[rim_edges[is_edge_on_crack & is_front_edge]]
         crack_surfaces.append(
             CrackSurface(
                 triangle_positions,
-                front_edge_positions,
+                front_edge_end_points,
                 bool(np.any(is_edge_on_crack & ~is_front_edge)),
             )
         )
@@ -535,14 +549,14 @@ class Cells:
         Nodes in gmsh's order: corners first.
     facet_corner_columns : (n_facets, n) int
         Corners of each facet of a cell, as columns of ``cell_nodes``.
-    is_supporting_corner_of_node : (k, n_corners) bool
+    is_corner_function_nonzero_at_node : (k, n_corners) bool
         Row for each node of a cell: True for the corners with a nonzero linear basis function
         there. A middle node has the two ends of the edge.
     """
 
     cell_nodes: np.ndarray
     facet_corner_columns: np.ndarray
-    is_supporting_corner_of_node: np.ndarray
+    is_corner_function_nonzero_at_node: np.ndarray
 
     @property
     def n_corners(self) -> int:
@@ -578,7 +592,7 @@ class Cells:
         )
 
     @cached_property
-    def is_shared(self) -> np.ndarray:
+    def is_facet_equal_to_next(self) -> np.ndarray:
         """Return True for each sorted facet equal to the next, inside the mesh: (n - 1,) bool."""
         facets = self.sorted_facets_and_owners[0]
         return np.asarray(np.all(facets[1:] == facets[:-1], axis=1))
@@ -586,7 +600,7 @@ class Cells:
     @cached_property
     def is_boundary_facet(self) -> np.ndarray:
         """Return True for each sorted facet with a single cell, on the boundary: (n,) bool."""
-        is_shared = np.concatenate([[False], self.is_shared, [False]])
+        is_shared = np.concatenate([[False], self.is_facet_equal_to_next, [False]])
         return ~(is_shared[1:] | is_shared[:-1])
 
 
@@ -611,9 +625,9 @@ def merge_crack_nodes(
         positions[crack_facets[:, 0]] - positions[crack_facets[:, 1]], axis=1
     )
     node_map = np.arange(len(positions))
-    crack_positions = positions[np.unique(crack_facets)]
+    crack_node_positions = positions[np.unique(crack_facets)]
     for coincident_nodes in cKDTree(positions).query_ball_point(
-        crack_positions, RELATIVE_COINCIDENCE_TOLERANCE * float(edge_lengths.min())
+        crack_node_positions, RELATIVE_COINCIDENCE_TOLERANCE * float(edge_lengths.min())
     ):
         node_map[coincident_nodes] = min(coincident_nodes)
     return np.unique(node_map, return_inverse=True)
@@ -650,15 +664,18 @@ def split_cracks(
     """
     n_corners = cells.facet_corner_columns.shape[1]
     facet_word = ("edges", "facets")[positions.shape[1] - 2]
-    crack_corners, first_facet_index = np.unique(
+    crack_facet_corners, unique_facet_index = np.unique(
         np.sort(crack_facets[:, :n_corners], axis=1), axis=0, return_index=True
     )
-    crack_facets = crack_facets[first_facet_index]  # in the same order as the sorted facets
-    (facets, owner, local_corners), is_shared = (cells.sorted_facets_and_owners, cells.is_shared)
-    is_crack_node = np.isin(np.arange(len(positions)), crack_corners)
+    crack_facets = crack_facets[unique_facet_index]  # in the same order as the sorted facets
+    (facets, owner, local_corners), is_facet_equal_to_next = (
+        cells.sorted_facets_and_owners,
+        cells.is_facet_equal_to_next,
+    )
+    is_crack_node = np.isin(np.arange(len(positions)), crack_facet_corners)
     is_crack_facet = is_crack_node[facets].all(axis=1)
-    is_crack_facet[is_crack_facet] = are_rows_in(facets[is_crack_facet], crack_corners)
-    inner_facets = np.flatnonzero(is_shared & is_crack_facet[:-1])
+    is_crack_facet[is_crack_facet] = are_rows_in(facets[is_crack_facet], crack_facet_corners)
+    inner_facets = np.flatnonzero(is_facet_equal_to_next & is_crack_facet[:-1])
     check_mesh(
         len(inner_facets) == len(crack_facets),
         f"{len(crack_facets) - len(inner_facets)} of the {len(crack_facets)} {facet_word}"
@@ -666,53 +683,60 @@ def split_cracks(
         f"a mesh whose cracks are inside the structure, with a cell on either side of {facet_word}",
     )
     outer_facets = facets[cells.is_boundary_facet & is_crack_node[facets].any(axis=1)]
-    is_split = is_crack_node.copy()
-    is_split[_front_edges_or_tips(crack_facets[:, :n_corners], outer_facets)] = False
-    facet_labels = label_connected_rows(crack_corners)
-    unsplit_labels = np.setdiff1d(facet_labels, facet_labels[is_split[crack_corners].any(axis=1)])
-    check_mesh(not len(unsplit_labels), "all nodes of a crack on its front", "a finer mesh")
+    is_split_node = is_crack_node.copy()
+    is_split_node[_front_edges_or_tips(crack_facets[:, :n_corners], outer_facets)] = False
+    facet_labels = label_connected_rows(crack_facet_corners)
+    labels_of_unsplit_cracks = np.setdiff1d(
+        facet_labels, facet_labels[is_split_node[crack_facet_corners].any(axis=1)]
+    )
+    check_mesh(
+        not len(labels_of_unsplit_cracks), "all nodes of a crack on its front", "a finer mesh"
+    )
 
     # Each crack facet has two sides. Sides are connected if they share a star, the set of cells
     # around a node that is not cut by the crack.
-    star_labels = _label_corner_stars(cells, is_shared & ~is_crack_facet[:-1], is_split).reshape(
-        -1, cells.n_corners
-    )
+    star_labels = _label_corner_stars(
+        cells, is_facet_equal_to_next & ~is_crack_facet[:-1], is_split_node
+    ).reshape(-1, cells.n_corners)
     side_facet_index = np.concatenate([inner_facets, inner_facets + 1])
-    side_cells, is_fixed_corner = (owner[side_facet_index], ~is_split[facets[side_facet_index]])
-    side_corner_stars = star_labels[side_cells[:, None], local_corners[side_facet_index]]
+    cell_of_facet_side, is_fixed_corner = (
+        owner[side_facet_index],
+        ~is_split_node[facets[side_facet_index]],
+    )
+    side_corner_stars = star_labels[cell_of_facet_side[:, None], local_corners[side_facet_index]]
     side_corner_stars[is_fixed_corner] = star_labels.size + np.arange(is_fixed_corner.sum())
     side_labels = label_connected_rows(side_corner_stars)
-    label_pairs = np.unique(np.sort(np.split(side_labels, 2), axis=0), axis=1)  # in pairs
-    is_split_corner = is_split[cells.cell_nodes[:, : cells.n_corners]]
+    side_label_pairs = np.unique(np.sort(np.split(side_labels, 2), axis=0), axis=1)  # in pairs
+    is_split_corner = is_split_node[cells.cell_nodes[:, : cells.n_corners]]
     check_mesh(
-        label_pairs.size == side_labels.max() + 1
-        and np.all(label_pairs[0] != label_pairs[1])
+        side_label_pairs.size == side_labels.max() + 1
+        and np.all(side_label_pairs[0] != side_label_pairs[1])
         and np.all(np.isin(star_labels[is_split_corner], side_corner_stars)),
         "not two sides everywhere along a crack",
         "a mesh whose cracks neither branch nor cross, and end inside or at the boundary",
     )
     side_corner_positions = np.tile(positions[crack_facets[:, :n_corners]], (2, 1, 1))
     outward_normals = size_weighted_normals(side_corner_positions)
-    cell_offsets = positions[cells.cell_nodes[side_cells, : cells.n_corners]].mean(
+    cell_offsets = positions[cells.cell_nodes[cell_of_facet_side, : cells.n_corners]].mean(
         axis=1
     ) - side_corner_positions.mean(axis=1)
     outward_normals[(cell_offsets * outward_normals).sum(axis=1) > 0.0] *= -1.0
-    side_normals = np.zeros((label_pairs.size, positions.shape[1]))
+    side_normals = np.zeros((side_label_pairs.size, positions.shape[1]))
     np.add.at(side_normals, side_labels, outward_normals)
     is_first_side_lower = np.array(
-        [upward_sign(side_normal) > 0.0 for side_normal in side_normals[label_pairs[0]]]
+        [upward_sign(side_normal) > 0.0 for side_normal in side_normals[side_label_pairs[0]]]
     )
-    upper_side_labels = np.where(is_first_side_lower, label_pairs[1], label_pairs[0])
+    upper_side_labels = np.where(is_first_side_lower, side_label_pairs[1], side_label_pairs[0])
     is_upper_corner = is_split_corner & np.isin(
         star_labels, side_corner_stars[np.isin(side_labels, upper_side_labels)]
     )
     # A node between corners is doubled if any of these corners is.
     is_crack_node[crack_facets] = True
-    is_node_near_upper_corner = is_upper_corner @ cells.is_supporting_corner_of_node.T
-    is_node_above = is_crack_node[cells.cell_nodes] & is_node_near_upper_corner
+    has_node_upper_corner = is_upper_corner @ cells.is_corner_function_nonzero_at_node.T
+    is_node_above = is_crack_node[cells.cell_nodes] & has_node_upper_corner
     copied_nodes, node_map = np.unique(cells.cell_nodes[is_node_above]), np.arange(len(positions))
     node_map[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
-    lower_facets = crack_facets[is_split[crack_facets[:, :n_corners]].any(axis=1)]
+    lower_facets = crack_facets[is_split_node[crack_facets[:, :n_corners]].any(axis=1)]
     nodes = np.where(is_node_above, node_map[cells.cell_nodes], cells.cell_nodes)
     return nodes, copied_nodes, np.stack([lower_facets, node_map[lower_facets]], axis=1)
 
@@ -747,18 +771,20 @@ def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) 
     check_mesh(np.all(facet_counts <= 2), "more than two sides of a crack meeting", requirement)
     rim_edges_or_nodes = edges_or_nodes[facet_counts == 1]
     # The four sorted corners of a quadrilateral are not in cyclic order: take all pairs.
-    boundary_edges_or_nodes = [
+    mesh_boundary_edges_or_nodes = [
         boundary_facets[:, corner_columns]
         for corner_columns in combinations(range(n_corners), edges_or_nodes.shape[1])
     ]
     return np.asarray(
         rim_edges_or_nodes[
-            ~are_rows_in(rim_edges_or_nodes, np.concatenate(boundary_edges_or_nodes))
+            ~are_rows_in(rim_edges_or_nodes, np.concatenate(mesh_boundary_edges_or_nodes))
         ]
     )
 
 
-def _label_corner_stars(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) -> np.ndarray:
+def _label_corner_stars(
+    cells: Cells, is_passable: np.ndarray, is_split_node: np.ndarray
+) -> np.ndarray:
     """Label the corners of all cells, such that equal labels stay a single node.
 
     At a node to be doubled, two cells' corners have the same label if a chain of cells connects
@@ -771,7 +797,7 @@ def _label_corner_stars(cells: Cells, is_passable: np.ndarray, is_split: np.ndar
         Cells of the mesh.
     is_passable : (n_facets - 1,) bool
         True for a facet between two cells and off the cracks, in the order of the sorted facets.
-    is_split : (n_nodes,) bool
+    is_split_node : (n_nodes,) bool
         True for nodes to be doubled.
 
     Returns
@@ -782,8 +808,8 @@ def _label_corner_stars(cells: Cells, is_passable: np.ndarray, is_split: np.ndar
     from scipy.sparse.csgraph import connected_components
 
     sorted_facets, cell_of_sorted_facet, local_corners = cells.sorted_facets_and_owners
-    passable_facets = np.flatnonzero(is_passable & is_split[sorted_facets[:-1]].any(axis=1))
-    is_split_corner = is_split[sorted_facets[passable_facets]]
+    passable_facets = np.flatnonzero(is_passable & is_split_node[sorted_facets[:-1]].any(axis=1))
+    is_split_corner = is_split_node[sorted_facets[passable_facets]]
     flat_corner_index, neighbour_corner_index = (
         cell_of_sorted_facet[sorted_facet_indices][:, None] * cells.n_corners
         + local_corners[sorted_facet_indices]

@@ -58,7 +58,7 @@ from petsc4py import PETSc
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.model.factor import weighted_sum
+from fenics_crack.model.factor import matrix_plus_weighted_matrix
 from fenics_crack.model.rotation import Rotation, static_displacement_and_forces
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
@@ -86,8 +86,10 @@ def stress_expression(scene: Scene, space: Any, strain: Any) -> Any:
     Plates are in plane stress; the material is the scene's.
     """
     young, poisson = form_constants(space, scene.material.young, scene.material.poisson)
-    d = scene.dimension
-    volumetric_strain_term = poisson / (1.0 - (d - 1) * poisson) * ufl.tr(strain) * ufl.Identity(d)
+    dimension = scene.dimension
+    volumetric_strain_term = (
+        poisson / (1.0 - (dimension - 1) * poisson) * ufl.tr(strain) * ufl.Identity(dimension)
+    )
     return young / (1.0 + poisson) * (strain + volumetric_strain_term)
 
 
@@ -126,10 +128,10 @@ def assemble_rotation(
     rho, c, axis_normal_projection = form_constants(
         space, scene.material.density, axis_point[:dimension], projection_matrix
     )
-    t = thickness_constant(scene, space)
+    thickness = thickness_constant(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     r = axis_normal_projection * (ufl.SpatialCoordinate(space.mesh) - c)
-    centrifugal_load = compat.assembled_vector(t * rho * ufl.inner(r, v) * ufl.dx)
+    centrifugal_load = compat.assembled_vector(thickness * rho * ufl.inner(r, v) * ufl.dx)
     centrifugal_load = dofs.restrict_to_free(centrifugal_load)
     if solve_static is not None:
         u_c_vector = solve_static(centrifugal_load[:, None])[:, 0]
@@ -152,26 +154,26 @@ def assemble_rotation(
 
         t is a plate's thickness, 1 for a solid; sigma is the stress by Hooke's law.
         """
-        return t * ufl.inner(stress_expression(scene, space, strain), test_strain) * ufl.dx
+        return thickness * ufl.inner(stress_expression(scene, space, strain), test_strain) * ufl.dx
 
     # One form for each matrix: a sum would be integrated with the highest degree.
-    K_g, M_s, displaced_stiffness_K_2, displaced_stiffness_K_3 = (
+    K_g, M_s, displaced_shape_stiffness_K_2, displaced_shape_stiffness_K_3 = (
         dofs.restrict_matrix(compat.assembled_petsc_matrix(form))
         for form in (
-            t * ufl.inner(ufl.dot(ufl.grad(u), static_stress), ufl.grad(v)) * ufl.dx,
-            t * rho * ufl.inner(axis_normal_projection * u, v) * ufl.dx,
+            thickness * ufl.inner(ufl.dot(ufl.grad(u), static_stress), ufl.grad(v)) * ufl.dx,
+            thickness * rho * ufl.inner(axis_normal_projection * u, v) * ufl.dx,
             virtual_work(ufl.sym(ufl.grad(u)), gradient_strain(v))
             + virtual_work(gradient_strain(u), ufl.sym(ufl.grad(v))),
             virtual_work(gradient_strain(u), gradient_strain(v)),
         )
     )
-    stiffness_K_1 = weighted_sum(K_g, -1.0, M_s)
+    stiffness_K_1 = matrix_plus_weighted_matrix(K_g, -1.0, M_s)
     K_g.destroy()
     M_s.destroy()
     return Rotation(
         structure_at_rest,
         stiffness_K_1,
-        (displaced_stiffness_K_2, displaced_stiffness_K_3),
+        (displaced_shape_stiffness_K_2, displaced_shape_stiffness_K_3),
         centrifugal_load,
         scene.given("rotation").speed,
     )

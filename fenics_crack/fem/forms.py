@@ -23,7 +23,7 @@ from fenics_crack.fem.build import pair_crack_faces
 from fenics_crack.fem.compat import dolfinx
 from fenics_crack.fem.cracks import CRACK_FACE_NAMES, find_crack_paths, find_crack_surfaces
 from fenics_crack.fem.elasticity import form_constants
-from fenics_crack.fem.plate import Dofs, PartMesh
+from fenics_crack.fem.plate import Dofs, MeshWithNamedParts
 from fenics_crack.model.structure import DampingRule, Structure
 
 CELL_TYPE_NAMES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
@@ -143,7 +143,7 @@ def _assemble_parts_and_places(
     is_constrained = call_on_each_rank(comm, lambda: compat.constrained_dof_mask(space, bcs))
     try:
         dofs = Dofs(
-            _make_part_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained
+            _make_part_mesh_from_facet_tags(space.mesh, crack, comm), space, comm, is_constrained
         )
         gap_matrix, tangential_matrix, pairs = pair_crack_faces(
             dofs, form_constants(space, thickness)[0]
@@ -210,14 +210,14 @@ def _check_form(space: Any, key: str, form: Any, n_arguments: int) -> None:
             )
 
 
-def _make_part_mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
-    """Return a user's mesh as :class:`PartMesh`, with cracks found from the tags (collective).
+def _make_part_mesh_from_facet_tags(mesh: Any, crack: Any, comm: MPI.Comm) -> MeshWithNamedParts:
+    """Return a user's mesh, with cracks found from the tags (collective).
 
     ``crack`` is (facet_tags, lower, upper): tags of the mesh's facets, the tag of all lower faces,
     and the tag of all upper faces. None: no cracks.
     """
     if crack is None:
-        return PartMesh(mesh, None, {}, {}, ())
+        return MeshWithNamedParts(mesh, None, {}, {}, ())
     requirement = (
         "(facet_tags, lower, upper): facet tags of the space's mesh, and the tags of both"
         " crack faces"
@@ -227,39 +227,41 @@ def _make_part_mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMe
         lower_tag, upper_tag = map(index, lower_and_upper_tags)
         if lower_tag == upper_tag or not compat.are_facet_tags_of(facet_tags, mesh):
             raise ValueError("facet_tags are not of facets of this mesh, or lower = upper")
-    part_mesh = PartMesh(
+    part_mesh = MeshWithNamedParts(
         mesh,
         facet_tags,
         {CRACK_FACE_NAMES[0]: (lower_tag,), CRACK_FACE_NAMES[1]: (upper_tag,)},
         {},
         (),
     )
-    face_numbers_and_positions = [
+    node_numbers_and_positions_by_face = [
         _find_corner_numbers_and_positions(part_mesh, face_name, comm)
         for face_name in CRACK_FACE_NAMES
     ]
     face_node_numbers, face_node_positions = (
         np.concatenate(arrays_of_both_faces)
-        for arrays_of_both_faces in zip(*face_numbers_and_positions, strict=True)
+        for arrays_of_both_faces in zip(*node_numbers_and_positions_by_face, strict=True)
     )
-    _, first_positions, node_index = np.unique(
+    _, first_occurrence_index, node_index = np.unique(
         face_node_numbers, return_index=True, return_inverse=True
     )
     face_corner_nodes = np.split(
-        node_index.reshape(face_node_numbers.shape), [len(face_numbers_and_positions[0][0])]
+        node_index.reshape(face_node_numbers.shape), [len(node_numbers_and_positions_by_face[0][0])]
     )
-    find_cracks: Any = find_crack_paths if mesh.topology.dim == 2 else find_crack_surfaces
+    find_paths_or_surfaces: Any = (
+        find_crack_paths if mesh.topology.dim == 2 else find_crack_surfaces
+    )
     return replace(
         part_mesh,
-        crack_paths_or_surfaces=find_cracks(
+        crack_paths_or_surfaces=find_paths_or_surfaces(
             *face_corner_nodes,
-            face_node_positions.reshape(-1, face_node_positions.shape[2])[first_positions],
+            face_node_positions.reshape(-1, face_node_positions.shape[2])[first_occurrence_index],
         ),
     )
 
 
 def _find_corner_numbers_and_positions(
-    part_mesh: PartMesh, face_name: str, comm: MPI.Comm
+    part_mesh: MeshWithNamedParts, face_name: str, comm: MPI.Comm
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners of all facets on the lower or upper crack faces (collective).
 
@@ -277,10 +279,11 @@ def _find_corner_numbers_and_positions(
     facets = facets[facets < topology.index_map(topology.dim - 1).size_local]
     corners = compat.facet_corner_nodes(mesh, facets)
     inner_facets = np.setdiff1d(facets, dolfinx.mesh.exterior_facet_indices(topology))
-    n_facets, n_inner = comm.allreduce(np.array([len(facets), len(inner_facets)]))
-    if n_facets == 0 or n_inner:
+    n_facets, n_inner_facets = comm.allreduce(np.array([len(facets), len(inner_facets)]))
+    if n_facets == 0 or n_inner_facets:
         problem = (
-            f"{n_facets} facets of tag {part_mesh.tags_by_group[face_name][0]}, {n_inner} of them"
+            f"{n_facets} facets of tag {part_mesh.tags_by_group[face_name][0]}, {n_inner_facets} "
+            "of them"
             " inside the mesh"
         )
         raise InputError("crack", problem, "two tags of boundary facets, with a cell on one side")

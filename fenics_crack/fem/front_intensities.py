@@ -101,14 +101,14 @@ def front_functionals(
         raise InputError("mesh", f"cells with {nodes.cells.shape[1]} nodes", requirement)
     points, cells = gather_rows(comm, nodes.points), gather_rows(comm, nodes.cells)
     stations: list[Station] = []
-    displacement_rows: list[np.ndarray] = []
-    force_rows: list[np.ndarray] = []
+    displacement_factor_rows: list[np.ndarray] = []
+    contact_force_factor_rows: list[np.ndarray] = []
     for front in find_fronts(structure):
         _check_front_is_resolved(front)
         integration_domain = _IntegrationDomain(scene, front, points, cells)
         displacement_factors, nodal_fields = (
-            _values_at_free_dofs(nodes, integration_domain.nodes, node_values)
-            for node_values in integration_domain.find_factors_and_nodal_fields(comm)
+            _values_at_free_dofs(nodes, integration_domain.nodes, domain_node_values)
+            for domain_node_values in integration_domain.find_displacement_factors_and_fields(comm)
         )
         force_factors = np.zeros((len(displacement_factors), structure.n_pairs))
         if structure.pairs.nodes is not None:
@@ -119,11 +119,21 @@ def front_functionals(
                 structure, front
             )
         front_stations = _make_stations(structure, front)
-        smooth_stations = np.setdiff1d(range(len(front_stations)), front.corner_station_indices)
-        stations += [front_stations[station_index] for station_index in smooth_stations]
-        displacement_rows += [*_rows_by_station(front, displacement_factors)[smooth_stations]]
-        force_rows += [*_rows_by_station(front, force_factors)[smooth_stations]]
-    return stations, np.concatenate(displacement_rows), np.concatenate(force_rows)
+        smooth_station_indices = np.setdiff1d(
+            range(len(front_stations)), front.corner_station_indices
+        )
+        stations += [front_stations[station_index] for station_index in smooth_station_indices]
+        displacement_factor_rows += [
+            *_rows_by_station(front, displacement_factors)[smooth_station_indices]
+        ]
+        contact_force_factor_rows += [
+            *_rows_by_station(front, force_factors)[smooth_station_indices]
+        ]
+    return (
+        stations,
+        np.concatenate(displacement_factor_rows),
+        np.concatenate(contact_force_factor_rows),
+    )
 
 
 def _values_at_free_dofs(
@@ -156,10 +166,10 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
     """
     pairs = structure.pairs
     is_node_in_hats = front.hats_and_slopes(front.node_parameters)[0] > 0.0
-    adjacent_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
+    contact_pairs_by_station = [np.zeros(0, dtype=int)] * len(front.station_parameters)
     if pairs.nodes is not None and pairs.pressure_matrix is not None:
         nearest_crack_nodes = cKDTree(pairs.nodes).query(front.node_positions)[1]
-        adjacent_pairs = [
+        contact_pairs_by_station = [
             np.unique(pairs.pressure_matrix[nearest_crack_nodes[is_node_in_hat]].nonzero()[1])
             for is_node_in_hat in is_node_in_hats.T
         ]
@@ -180,10 +190,14 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
             station_point,
             growth_direction,
             float(station_arc_length),
-            station_pairs,
+            contact_pairs_near_station,
         )
-        for station_point, growth_direction, station_arc_length, station_pairs in zip(
-            station_points, growth_directions, station_arc_lengths, adjacent_pairs, strict=True
+        for station_point, growth_direction, station_arc_length, contact_pairs_near_station in zip(
+            station_points,
+            growth_directions,
+            station_arc_lengths,
+            contact_pairs_by_station,
+            strict=True,
         )
     ]
 
@@ -279,11 +293,11 @@ class _IntegrationDomain:
         Positions of the nodes.
     cells : (n_cells, 10) int
         Nodes of each cell, as rows of ``points``.
-    corner_order : (n_cells, 4) int
+    corners_sorted_by_front_distance : (n_cells, 4) int
         Columns 0 to 3 of ``cells``, sorted by the corners' distance from the front.
     corner_positions : (n_cells, 4, 3) [m]
         Positions of the corners in this order.
-    is_outer_facet : (n_cells, 4) bool
+    is_facet_of_single_cell : (n_cells, 4) bool
         True if the facet opposite a corner, in this order, belongs to a single cell.
     volumes : (n_cells,) [m^3]
         Volume of each cell.
@@ -317,7 +331,7 @@ class _IntegrationDomain:
         sort_keys = np.dstack([corner_positions, front_distances[is_near_cell, :4]]).transpose(
             2, 0, 1
         )
-        self.corner_order = corner_order = np.lexsort(
+        self.corners_sorted_by_front_distance = corner_order = np.lexsort(
             np.round(sort_keys / (RELATIVE_POSITION_TOLERANCE * front.straight_domain_radius)),
             axis=-1,
         )
@@ -325,8 +339,10 @@ class _IntegrationDomain:
             corner_positions, corner_order[..., None], axis=1
         )
         corner_nodes = np.take_along_axis(self.cells[:, :4], corner_order, axis=1)
-        facets = np.concatenate([np.delete(corner_nodes, corner, axis=1) for corner in range(4)])
-        self.is_outer_facet = (count_equal_rows(facets) == 1).reshape(4, -1).T
+        facets = np.concatenate(
+            [np.delete(corner_nodes, corner_index, axis=1) for corner_index in range(4)]
+        )
+        self.is_facet_of_single_cell = (count_equal_rows(facets) == 1).reshape(4, -1).T
         cell_edge_vectors = self.corner_positions[:, 1:] - self.corner_positions[:, :1]
         self.volumes = np.abs(np.linalg.det(cell_edge_vectors)) / 6.0
         inverse_cell_edge_matrices = np.linalg.inv(cell_edge_vectors).swapaxes(
@@ -352,7 +368,7 @@ class _IntegrationDomain:
         a follows the cell's nodes, b the order of ``corner_positions``. ``cell_indices`` (n,)
         selects cells.
         """
-        inverse_corner_order = self.corner_order[cell_indices].argsort(axis=1)
+        inverse_corner_order = self.corners_sorted_by_front_distance[cell_indices].argsort(axis=1)
         barycentric_gradients = np.take_along_axis(
             self.barycentric_gradients[cell_indices], inverse_corner_order[..., None], axis=1
         )
@@ -370,10 +386,12 @@ class _IntegrationDomain:
                 4.0 * barycentric_gradients[:, corner_index]
             )
         return np.take_along_axis(
-            gradient_coefficients, self.corner_order[cell_indices][:, None, :, None], axis=2
+            gradient_coefficients,
+            self.corners_sorted_by_front_distance[cell_indices][:, None, :, None],
+            axis=2,
         )
 
-    def find_factors_and_nodal_fields(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+    def find_displacement_factors_and_fields(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
         """Compute the factors of nodal displacements and nodal forces in K (collective).
 
         K is K_I, K_II or K_III at a station. Each rank integrates over a part of the cells; the
@@ -397,15 +415,15 @@ class _IntegrationDomain:
             cKDTree(self.front.node_positions).query(self.corner_positions[:, 0])[0]
             < RELATIVE_POSITION_TOLERANCE * self.front.straight_domain_radius
         )
-        cells_and_gauss_numbers = (
+        cells_and_gauss_point_counts = (
             (np.flatnonzero(is_cell_at_front), GAUSS_POINTS_AT_FRONT),
             (np.flatnonzero(~is_cell_at_front), GAUSS_POINTS_ELSEWHERE),
         )
         for chunk_cells, n_side_gauss_points in (
-            (cell_chunk, n_side_points)
-            for group_cells, n_side_points in cells_and_gauss_numbers
+            (cell_chunk, n_gauss_points_per_direction)
+            for group_cells, n_gauss_points_per_direction in cells_and_gauss_point_counts
             for cell_chunk in _split_into_chunks(
-                group_cells[comm.rank :: comm.size], n_side_points**3
+                group_cells[comm.rank :: comm.size], n_gauss_points_per_direction**3
             )
         ):
             (rule_points, weights), (facet_rule_points, facet_weights) = (
@@ -415,32 +433,36 @@ class _IntegrationDomain:
                 chunk_cells, rule_points, self.volumes[chunk_cells, None] * weights, None
             )
             for corner_index in range(4):
-                has_outer_facet = self.is_outer_facet[chunk_cells, corner_index]
-                if np.any(has_outer_facet):
-                    surface_rule_points = np.insert(facet_rule_points, corner_index, 0.0, axis=1)
+                has_cell_outer_facet = self.is_facet_of_single_cell[chunk_cells, corner_index]
+                if np.any(has_cell_outer_facet):
+                    facet_points_in_cell_coordinates = np.insert(
+                        facet_rule_points, corner_index, 0.0, axis=1
+                    )
                     corner_gradients = self.barycentric_gradients[
-                        chunk_cells[has_outer_facet], corner_index
+                        chunk_cells[has_cell_outer_facet], corner_index
                     ]
                     areas = (
                         3.0
-                        * self.volumes[chunk_cells[has_outer_facet]]
+                        * self.volumes[chunk_cells[has_cell_outer_facet]]
                         * np.linalg.norm(corner_gradients, axis=1)
                     )
-                    normals = -corner_gradients / np.linalg.norm(corner_gradients, axis=1)[:, None]
-                    tensor_integrals[has_outer_facet] += self._integrate_tensors(
-                        chunk_cells[has_outer_facet],
-                        surface_rule_points,
+                    outward_facet_normals = (
+                        -corner_gradients / np.linalg.norm(corner_gradients, axis=1)[:, None]
+                    )
+                    tensor_integrals[has_cell_outer_facet] += self._integrate_tensors(
+                        chunk_cells[has_cell_outer_facet],
+                        facet_points_in_cell_coordinates,
                         areas[:, None] * facet_weights,
-                        normals,
+                        outward_facet_normals,
                     )
             basis_gradients = self._basis_gradients(chunk_cells).reshape(len(chunk_cells), 10, 12)
-            cell_fields = (
+            nodal_fields_of_cells = (
                 nodal_fields[self.cells[chunk_cells]]
                 .reshape(len(chunk_cells), 10, -1)
                 .swapaxes(1, 2)
             )
             corner_stress = self._stress(
-                (cell_fields @ basis_gradients)
+                (nodal_fields_of_cells @ basis_gradients)
                 .reshape(len(chunk_cells), -1, 3, 4, 3)
                 .swapaxes(2, 3)
             )
@@ -449,11 +471,11 @@ class _IntegrationDomain:
                 corner_stress + corner_stress.sum(axis=2, keepdims=True)
             )
             tensor_integrals = tensor_integrals.swapaxes(2, 3).reshape(len(chunk_cells), -1, 12)
-            cell_factors = basis_gradients @ tensor_integrals.swapaxes(1, 2)
+            displacement_factors_of_cells = basis_gradients @ tensor_integrals.swapaxes(1, 2)
             np.add.at(
                 displacement_factors,
                 self.cells[chunk_cells],
-                cell_factors.reshape(len(chunk_cells), 10, n_rows, 3),
+                displacement_factors_of_cells.reshape(len(chunk_cells), 10, n_rows, 3),
             )
         return self.intensity_per_integral[:, None] * comm.allreduce(
             displacement_factors
@@ -463,8 +485,8 @@ class _IntegrationDomain:
         """Return the stress [Pa] from displacement gradients (..., 3, 3), by Hooke's law."""
         stress = self.mu * (displacement_gradients + displacement_gradients.swapaxes(-1, -2))
         volumetric_stress = self.lame * np.trace(displacement_gradients, axis1=-2, axis2=-1)
-        for k in range(3):
-            stress[..., k, k] += volumetric_stress
+        for axis_index in range(3):
+            stress[..., axis_index, axis_index] += volumetric_stress
         return stress
 
     def _front_coordinates(
@@ -492,17 +514,17 @@ class _IntegrationDomain:
         t = front.nearest_parameters(positions)
         frame_vectors, speed, curvature, curvature_slope = front.frame_and_curvature(t)
         offsets_from_front = positions - front.curve_function(t, 0)
-        xi, y = (
+        xi_ahead_of_front, y = (
             (offsets_from_front * frame_vectors[..., axis_index, :]).sum(-1)
             for axis_index in range(2)
         )
         domain_radius = front.domain_radius(curvature)
-        r = np.hypot(xi, y)
+        r = np.hypot(xi_ahead_of_front, y)
         y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side_signs[cell_indices][:, None], y)
         hat, hat_slope_by_t = front.hats_and_slopes(t)
         return (
             frame_vectors,
-            xi,
+            xi_ahead_of_front,
             y,
             r,
             hat,
@@ -531,8 +553,8 @@ class _IntegrationDomain:
         q = np.where(is_node_at_front, 0.0, find_weight_and_slope(r / domain_radius)[0])
         mode_fields = []
         for mode in range(3):
-            _, a_by_xi, _ = self._plane_field_and_derivatives(mode, xi, y, r)
-            weighted_field = np.einsum("icp,cpij->cpj", a_by_xi, frame_vectors) * q[..., None]
+            _, da_dxi, _ = self._plane_field_and_derivatives(mode, xi, y, r)
+            weighted_field = np.einsum("icp,cpij->cpj", da_dxi, frame_vectors) * q[..., None]
             mode_fields.append(hat[..., None] * weighted_field[..., None, :])
         return np.concatenate(mode_fields, axis=2)
 
@@ -625,34 +647,39 @@ class _IntegrationDomain:
             Integrals for each cell, row (mode and station), corner b, and component of T.
         """
         positions = rule_points @ self.corner_positions[cell_indices]
-        frame_vectors, xi, y, r, hat, hat_slope, curvature, curvature_slope, radius = (
+        frame_vectors, xi, y, r, hat, hat_slope, curvature, curvature_slope, domain_radius = (
             self._front_coordinates(positions, cell_indices)
         )
         if normals is not None:  # At a concave front, crack faces reach ahead of the curve.
             xi = np.where(np.abs(y) < 1e-9 * r, -r, xi)
-        q, q_slope = find_weight_and_slope(r / radius)
-        q_slope /= radius
-        metric = 1.0 + curvature * xi
-        local_curvature = curvature / metric
+        q, q_slope = find_weight_and_slope(r / domain_radius)
+        q_slope /= domain_radius
+        metric_factor = 1.0 + curvature * xi
+        curvature_over_metric = curvature / metric_factor
         is_limited = self.front.is_limited_by_curvature(curvature)
-        radius_log_slope = np.where(
+        domain_radius_log_slope = np.where(
             is_limited, -curvature_slope / np.where(is_limited, curvature, 1.0), 0.0
         )
         q_gradient = np.stack(
-            [q_slope * xi / r, q_slope * y / r, -q_slope * r * radius_log_slope / metric], axis=-1
+            [
+                q_slope * xi / r,
+                q_slope * y / r,
+                -q_slope * r * domain_radius_log_slope / metric_factor,
+            ],
+            axis=-1,
         )
         weights_times_coordinates = weights[..., None] * rule_points
         mode_integrals = []
         for mode in range(3):
-            a, a_by_xi, a_by_y = self._plane_field_and_derivatives(mode, xi, y, r)
+            a, da_dxi, da_dy = self._plane_field_and_derivatives(mode, xi, y, r)
             gradient = np.zeros((*r.shape, 3, 3))
             gradient[..., 0], gradient[..., 1] = (
-                np.moveaxis(a_by_xi, 0, -1),
-                np.moveaxis(a_by_y, 0, -1),
+                np.moveaxis(da_dxi, 0, -1),
+                np.moveaxis(da_dy, 0, -1),
             )
             gradient[..., 0, 2], gradient[..., 2, 2] = (
-                -local_curvature * a[2],
-                local_curvature * a[0],
+                -curvature_over_metric * a[2],
+                curvature_over_metric * a[0],
             )
             auxiliary_stress = self._stress(gradient)
             if normals is not None:
@@ -667,18 +694,26 @@ class _IntegrationDomain:
             else:
                 hats_and_tensors = self._hats_and_volume_tensors(
                     a,
-                    a_by_xi,
-                    a_by_y,
+                    da_dxi,
+                    da_dy,
                     gradient,
                     auxiliary_stress,
-                    (q, q_gradient, metric, local_curvature, curvature_slope, hat, hat_slope),
+                    (
+                        q,
+                        q_gradient,
+                        metric_factor,
+                        curvature_over_metric,
+                        curvature_slope,
+                        hat,
+                        hat_slope,
+                    ),
                 )
             hat_weighted_integral: Any = 0.0
             for hat_values, tensor in hats_and_tensors:
-                rotated_tensor = frame_vectors.swapaxes(-1, -2) @ tensor @ frame_vectors
-                weighted_tensors = weights_times_coordinates[..., None] * rotated_tensor.reshape(
-                    *r.shape, 1, 9
-                )
+                tensor_in_global_axes = frame_vectors.swapaxes(-1, -2) @ tensor @ frame_vectors
+                weighted_tensors = weights_times_coordinates[
+                    ..., None
+                ] * tensor_in_global_axes.reshape(*r.shape, 1, 9)
                 weighted_tensors = weighted_tensors.reshape(*r.shape, 36)
                 hat_weighted_integral = (
                     hat_weighted_integral + hat_values.swapaxes(-1, -2) @ weighted_tensors
@@ -687,7 +722,7 @@ class _IntegrationDomain:
         return np.concatenate(mode_integrals, axis=1)
 
     def _hats_and_volume_tensors(
-        self, a: np.ndarray, a_by_xi: np.ndarray, a_by_y: np.ndarray,
+        self, a: np.ndarray, da_dxi: np.ndarray, da_dy: np.ndarray,
         gradient: np.ndarray, auxiliary_stress: np.ndarray,
         weights_and_geometry: tuple[np.ndarray, ...],
     ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
@@ -700,7 +735,7 @@ class _IntegrationDomain:
 
         Parameters
         ----------
-        a, a_by_xi, a_by_y : (3, ...)
+        a, da_dxi, da_dy : (3, ...)
             Components of a, and their derivatives by xi and y.
         gradient, auxiliary_stress : (..., 3, 3)
             Gradient and stress of a in the frame e_1, e_2, e_3.
@@ -714,44 +749,47 @@ class _IntegrationDomain:
         list of ((..., n_stations), (..., 3, 3))
             Hats with the first tensor, then hat slopes with the second tensor.
         """
-        q, q_gradient, metric, local_curvature, curvature_slope, hat, hat_slope = (
+        q, q_gradient, metric_factor, curvature_over_metric, curvature_slope, hat, hat_slope = (
             weights_and_geometry
         )
-        q_times_curvature = (q * local_curvature)[..., None]
-        hat_tensor = gradient[..., :, :1] * q_gradient[..., None, :]
-        hat_tensor[..., 2] += gradient[..., 2] * q_times_curvature
-        hat_tensor = (
-            self._stress(hat_tensor)
+        q_times_curvature = (q * curvature_over_metric)[..., None]
+        tensor_multiplied_by_hat = gradient[..., :, :1] * q_gradient[..., None, :]
+        tensor_multiplied_by_hat[..., 2] += gradient[..., 2] * q_times_curvature
+        tensor_multiplied_by_hat = (
+            self._stress(tensor_multiplied_by_hat)
             - (q_gradient[..., :1] + q_times_curvature)[..., None] * auxiliary_stress
         )
-        hat_tensor[..., 0] += (auxiliary_stress @ q_gradient[..., None])[..., 0]
-        hat_tensor[..., 2] += auxiliary_stress[..., 2] * q_times_curvature
+        tensor_multiplied_by_hat[..., 0] += (auxiliary_stress @ q_gradient[..., None])[..., 0]
+        tensor_multiplied_by_hat[..., 2] += auxiliary_stress[..., 2] * q_times_curvature
         gradient_slope_by_curvature = np.zeros_like(gradient)
         gradient_slope_by_curvature[..., 0, 2], gradient_slope_by_curvature[..., 2, 2] = (
-            -a[2] / metric**2,
-            a[0] / metric**2,
+            -a[2] / metric_factor**2,
+            a[0] / metric_factor**2,
         )
-        stress_divergence = (curvature_slope / metric)[..., None] * self._stress(
+        stress_divergence = (curvature_slope / metric_factor)[..., None] * self._stress(
             gradient_slope_by_curvature
         )[..., 2]
-        stress_divergence[..., 0] += local_curvature * (
+        stress_divergence[..., 0] += curvature_over_metric * (
             auxiliary_stress[..., 0, 0] - auxiliary_stress[..., 2, 2]
         )
         stress_divergence[..., 0] += (
-            self.lame * local_curvature * (a_by_xi[0] - local_curvature * a[0])
+            self.lame * curvature_over_metric * (da_dxi[0] - curvature_over_metric * a[0])
         )
         stress_divergence[..., 1] += (
-            local_curvature * auxiliary_stress[..., 1, 0] + self.lame * local_curvature * a_by_y[0]
+            curvature_over_metric * auxiliary_stress[..., 1, 0]
+            + self.lame * curvature_over_metric * da_dy[0]
         )
-        stress_divergence[..., 2] += 2.0 * local_curvature * auxiliary_stress[
+        stress_divergence[..., 2] += 2.0 * curvature_over_metric * auxiliary_stress[
             ..., 2, 0
-        ] - self.mu * local_curvature * (a_by_xi[2] - local_curvature * a[2])
-        hat_tensor[..., 0] += q[..., None] * stress_divergence
-        slope_tensor = np.zeros_like(gradient)
-        slope_tensor[..., 2] = gradient[..., 0] * (q / metric)[..., None]
-        slope_tensor = self._stress(slope_tensor)
-        slope_tensor[..., 0] += auxiliary_stress[..., 2] * (q / metric)[..., None]
-        return [(hat, hat_tensor), (hat_slope, slope_tensor)]
+        ] - self.mu * curvature_over_metric * (da_dxi[2] - curvature_over_metric * a[2])
+        tensor_multiplied_by_hat[..., 0] += q[..., None] * stress_divergence
+        tensor_multiplied_by_hat_slope = np.zeros_like(gradient)
+        tensor_multiplied_by_hat_slope[..., 2] = gradient[..., 0] * (q / metric_factor)[..., None]
+        tensor_multiplied_by_hat_slope = self._stress(tensor_multiplied_by_hat_slope)
+        tensor_multiplied_by_hat_slope[..., 0] += (
+            auxiliary_stress[..., 2] * (q / metric_factor)[..., None]
+        )
+        return [(hat, tensor_multiplied_by_hat), (hat_slope, tensor_multiplied_by_hat_slope)]
 
 
 def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
@@ -767,62 +805,80 @@ def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
         front.crack_index
     ]
     crack_node_tree, front_tree = cKDTree(pairs.nodes), cKDTree(front.node_positions)
-    corner_front_distances, nearest_front_nodes = front_tree.query(crack.triangles)
-    triangle_radii = np.linalg.norm(
+    corner_front_distances, nearest_front_node_of_corner = front_tree.query(crack.triangles)
+    triangle_enclosing_radii = np.linalg.norm(
         crack.triangles - crack.triangles.mean(axis=1)[:, None], axis=2
     ).max(axis=1)
-    is_near = (
-        corner_front_distances.min(axis=1) < front.straight_domain_radius + 2.0 * triangle_radii
+    is_triangle_near_front = (
+        corner_front_distances.min(axis=1)
+        < front.straight_domain_radius + 2.0 * triangle_enclosing_radii
     )
-    factors = np.zeros((len(front.station_parameters), len(pairs.nodes)))
+    nodal_pressure_factors = np.zeros((len(front.station_parameters), len(pairs.nodes)))
     rule_points, facet_weights = _collapsed_gauss_rule(2, GAUSS_POINTS_AT_FRONT)
     x, w = np.polynomial.legendre.leggauss(2 * GAUSS_POINTS_AT_FRONT)
     x, w = 0.5 * (1.0 + x), 0.5 * w
-    sqrt_fractions, edge_fractions = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
-    map_weights, corner_fractions = 2.0 * sqrt_fractions * np.outer(w, w).ravel(), sqrt_fractions**2
-    mapped_shapes = np.column_stack(
+    sqrt_fractions, edge_fractions = (
+        coordinate_grid.ravel() for coordinate_grid in np.meshgrid(x, x, indexing="ij")
+    )
+    mapped_rule_weights, fractions_towards_corner = (
+        2.0 * sqrt_fractions * np.outer(w, w).ravel(),
+        sqrt_fractions**2,
+    )
+    mapped_shape_values = np.column_stack(
         [
-            corner_fractions,
-            (1.0 - corner_fractions) * (1.0 - edge_fractions),
-            (1.0 - corner_fractions) * edge_fractions,
+            fractions_towards_corner,
+            (1.0 - fractions_towards_corner) * (1.0 - edge_fractions),
+            (1.0 - fractions_towards_corner) * edge_fractions,
         ]
     )
-    for triangle, corner_distances, corner_front_nodes in zip(
-        crack.triangles[is_near],
-        corner_front_distances[is_near],
-        nearest_front_nodes[is_near],
+    for triangle, corner_distances, front_node_nearest_to_corner in zip(
+        crack.triangles[is_triangle_near_front],
+        corner_front_distances[is_triangle_near_front],
+        nearest_front_node_of_corner[is_triangle_near_front],
         strict=True,
     ):
         corner_order = corner_distances.argsort()
         is_on_front = corner_distances < RELATIVE_POSITION_TOLERANCE * crack.size
         if is_on_front.sum() == 2:
             corner_order = np.append(np.flatnonzero(~is_on_front), np.flatnonzero(is_on_front))
-            edge_parameters = front.node_parameters[corner_front_nodes[corner_order[1:]]]
+            edge_end_parameters = front.node_parameters[
+                front_node_nearest_to_corner[corner_order[1:]]
+            ]
             if front.is_closed:
-                edge_parameters = np.unwrap(
-                    edge_parameters, period=front.node_parameters[-1] - front.node_parameters[0]
+                edge_end_parameters = np.unwrap(
+                    edge_end_parameters, period=front.node_parameters[-1] - front.node_parameters[0]
                 )
-            t_start, t_stop = edge_parameters
+            t_start, t_stop = edge_end_parameters
             t = t_start + edge_fractions * (t_stop - t_start)
             offsets_to_corner = triangle[corner_order[0]] - front.curve_function(t, 0)
-            points = front.curve_function(t, 0) + corner_fractions[:, None] * offsets_to_corner
+            points = (
+                front.curve_function(t, 0) + fractions_towards_corner[:, None] * offsets_to_corner
+            )
             area_vectors = np.cross(
                 offsets_to_corner,
-                (1.0 - corner_fractions)[:, None] * front.curve_function(t, 1) * (t_stop - t_start),
+                (1.0 - fractions_towards_corner)[:, None]
+                * front.curve_function(t, 1)
+                * (t_stop - t_start),
             )
-            area_weights = map_weights * np.linalg.norm(area_vectors, axis=1)
-            shape_values = mapped_shapes
+            quadrature_area_weights = mapped_rule_weights * np.linalg.norm(area_vectors, axis=1)
+            shape_values = mapped_shape_values
         else:
             points, shape_values = (rule_points @ triangle[corner_order], rule_points)
             triangle_sides = triangle[1:] - triangle[0]
-            area_weights = 0.5 * np.linalg.norm(np.cross(*triangle_sides)) * facet_weights
+            quadrature_area_weights = (
+                0.5 * np.linalg.norm(np.cross(*triangle_sides)) * facet_weights
+            )
         t = front.nearest_parameters(points)
         r = np.linalg.norm(points - front.curve_function(t, 0), axis=1)
-        domain_radii = front.domain_radius(front.frame_and_curvature(t)[2])
-        kernel = find_weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
+        domain_radii_at_points = front.domain_radius(front.frame_and_curvature(t)[2])
+        kernel = (
+            find_weight_and_slope(r / domain_radii_at_points)[0]
+            / np.sqrt(r)
+            * quadrature_area_weights
+        )
         corner_crack_nodes = crack_node_tree.query(triangle[corner_order])[1]
-        factors[:, corner_crack_nodes] += front.hats_and_slopes(t)[0].T @ (
+        nodal_pressure_factors[:, corner_crack_nodes] += front.hats_and_slopes(t)[0].T @ (
             kernel[:, None] * shape_values
         )
-    factors *= np.sqrt(2.0 / np.pi) / front.hat_integrals()[:, None]
-    return np.asarray((pairs.pressure_matrix.T @ factors.T).T / pairs.areas)
+    nodal_pressure_factors *= np.sqrt(2.0 / np.pi) / front.hat_integrals()[:, None]
+    return np.asarray((pairs.pressure_matrix.T @ nodal_pressure_factors.T).T / pairs.areas)

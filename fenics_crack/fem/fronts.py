@@ -158,11 +158,11 @@ class Front:
 
         h is 1 at the station and falls to 0 at the neighbouring stations.
         """
-        x, w = np.polynomial.legendre.leggauss(8)
+        gauss_points, gauss_weights = np.polynomial.legendre.leggauss(8)
         half_spacing = 0.5 * (self.hat_peak_parameters[1] - self.hat_peak_parameters[0])
-        t = (self.hat_peak_parameters[:-1, None] + half_spacing * (1.0 + x)).ravel()
+        t = (self.hat_peak_parameters[:-1, None] + half_spacing * (1.0 + gauss_points)).ravel()
         length_weights = np.linalg.norm(self.curve_function(t, 1), axis=1) * np.tile(
-            half_spacing * w, len(self.hat_peak_parameters) - 1
+            half_spacing * gauss_weights, len(self.hat_peak_parameters) - 1
         )
         return np.asarray(length_weights @ self.hats_and_slopes(t)[0])
 
@@ -181,9 +181,11 @@ class Front:
             Curvature, positive if the crack is convex, and the derivative by the length s along
             the front.
         """
-        c_1, c_2, c_3 = (self.curve_function(t, order) for order in (1, 2, 3))
-        speed = np.linalg.norm(c_1, axis=-1)
-        e_3 = c_1 / speed[..., None]
+        first_derivative, second_derivative, third_derivative = (
+            self.curve_function(t, order) for order in (1, 2, 3)
+        )
+        speed = np.linalg.norm(first_derivative, axis=-1)
+        e_3 = first_derivative / speed[..., None]
         e_2 = np.stack(
             [
                 np.interp(t, self.node_parameters, normal_components)
@@ -194,9 +196,11 @@ class Front:
         e_2 -= (e_2 * e_3).sum(-1, keepdims=True) * e_3
         e_2 /= np.linalg.norm(e_2, axis=-1, keepdims=True)
         e_1 = np.cross(e_2, e_3)
-        curvature = -(c_2 * e_1).sum(-1) / speed**2
-        curvature_slope = -(c_3 * e_1).sum(-1) / speed**3
-        curvature_slope -= 3.0 * curvature * (c_1 * c_2).sum(-1) / speed**3
+        curvature = -(second_derivative * e_1).sum(-1) / speed**2
+        curvature_slope = -(third_derivative * e_1).sum(-1) / speed**3
+        curvature_slope -= (
+            3.0 * curvature * (first_derivative * second_derivative).sum(-1) / speed**3
+        )
         return np.stack([e_1, e_2, e_3], axis=-2), speed, curvature, curvature_slope
 
     @cached_property
@@ -248,10 +252,13 @@ class Front:
         sample_parameters, sample_tree = self._sample_parameters_and_tree
         t = sample_parameters[sample_tree.query(points)[1]]
         for _ in range(3):  # Newton's steps
-            c_0, c_1, c_2 = (self.curve_function(t, order) for order in range(3))
-            offsets_from_curve = points - c_0
-            t = t + (offsets_from_curve * c_1).sum(-1) / (
-                (c_1 * c_1).sum(-1) - (offsets_from_curve * c_2).sum(-1)
+            curve_points, first_derivative, second_derivative = (
+                self.curve_function(t, order) for order in range(3)
+            )
+            offsets_from_curve = points - curve_points
+            t = t + (offsets_from_curve * first_derivative).sum(-1) / (
+                (first_derivative * first_derivative).sum(-1)
+                - (offsets_from_curve * second_derivative).sum(-1)
             )
             if not self.is_closed:
                 t = np.clip(t, self.node_parameters[0], self.node_parameters[-1])
@@ -267,20 +274,20 @@ def find_fronts(structure: Structure) -> list[Front]:
 
     Fronts are cut at corners with 45 degrees or more.
     """
-    rank_nodes = structure.nodes
-    assert rank_nodes is not None
-    cracks: tuple[CrackSurface, ...] = rank_nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces
+    structure_nodes = structure.nodes
+    assert structure_nodes is not None
+    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces
     clamped_points = gather_rows(
-        structure.comm, rank_nodes.points[np.all(rank_nodes.dofs < 0, axis=1)]
+        structure.comm, structure_nodes.points[np.all(structure_nodes.dofs < 0, axis=1)]
     )
     front_arguments = []
     for crack_index, crack in enumerate(cracks):
-        corner_positions_of_other_cracks = [
+        triangle_corners_of_other_cracks = [
             other_crack.triangles.reshape(-1, 3)
             for other_crack in cracks
             if other_crack is not crack
         ]
-        obstacle_tree = cKDTree(np.concatenate([clamped_points, *corner_positions_of_other_cracks]))
+        obstacle_tree = cKDTree(np.concatenate([clamped_points, *triangle_corners_of_other_cracks]))
         for chain_points, node_normals, is_closed, ends_at_surface in _yield_smooth_front_parts(
             crack
         ):
@@ -323,23 +330,31 @@ def _yield_smooth_front_parts(
     ends_at_surface : tuple of bool
         True for each end at the surface of the solid.
     """
-    corner_positions = crack.triangles.reshape(-1, 3)
-    corner_tree = cKDTree(corner_positions)
-    coincident_corners = corner_tree.query_ball_point(
-        corner_positions, RELATIVE_POSITION_TOLERANCE * crack.size
+    triangle_corner_positions = crack.triangles.reshape(-1, 3)
+    triangle_corner_tree = cKDTree(triangle_corner_positions)
+    coincident_triangle_corners = triangle_corner_tree.query_ball_point(
+        triangle_corner_positions, RELATIVE_POSITION_TOLERANCE * crack.size
     )
-    node_of_corner = np.array([min(corners) for corners in coincident_corners])
+    node_of_triangle_corner = np.array([min(corners) for corners in coincident_triangle_corners])
     triangle_normals = size_weighted_normals(crack.triangles)
     triangle_normals *= np.array([[upward_sign(normal)] for normal in triangle_normals])
-    node_normals, node_centres = np.zeros((2, len(corner_positions), 3))
-    np.add.at(node_normals, node_of_corner, np.repeat(triangle_normals, 3, axis=0))
-    np.add.at(node_centres, node_of_corner, np.repeat(crack.triangles.mean(axis=1), 3, axis=0))
-    node_centres /= np.maximum(np.bincount(node_of_corner, minlength=len(node_centres)), 1)[:, None]
-    chord_corners = corner_tree.query(crack.front_chords.reshape(-1, 3))[1]
-    for nodes in find_node_chains(node_of_corner[chord_corners].reshape(-1, 2)):
+    node_normals, triangle_centre_near_node = np.zeros((2, len(triangle_corner_positions), 3))
+    np.add.at(node_normals, node_of_triangle_corner, np.repeat(triangle_normals, 3, axis=0))
+    np.add.at(
+        triangle_centre_near_node,
+        node_of_triangle_corner,
+        np.repeat(crack.triangles.mean(axis=1), 3, axis=0),
+    )
+    triangle_centre_near_node /= np.maximum(
+        np.bincount(node_of_triangle_corner, minlength=len(triangle_centre_near_node)), 1
+    )[:, None]
+    triangle_corner_of_chord_end = triangle_corner_tree.query(crack.front_chords.reshape(-1, 3))[1]
+    for nodes in find_node_chains(
+        node_of_triangle_corner[triangle_corner_of_chord_end].reshape(-1, 2)
+    ):
         is_closed = bool(nodes[0] == nodes[-1])
-        chained_points, point_normals = corner_positions[nodes], node_normals[nodes]
-        inward_vectors = node_centres[nodes] - chained_points
+        chained_points, point_normals = triangle_corner_positions[nodes], node_normals[nodes]
+        inward_vectors = triangle_centre_near_node[nodes] - chained_points
         point_normals /= np.linalg.norm(point_normals, axis=1)[:, None]
         edge_vectors = np.diff(chained_points, axis=0)
         edge_side_vectors = np.cross(point_normals[:-1] + point_normals[1:], edge_vectors)
@@ -354,18 +369,22 @@ def _yield_smooth_front_parts(
         if is_closed and corner_indices:
             start_index = corner_indices[0]
             chained_points, point_normals = (
-                np.concatenate([node_vectors[start_index:-1], node_vectors[: start_index + 1]])
-                for node_vectors in (chained_points, point_normals)
+                np.concatenate(
+                    [positions_or_normals[start_index:-1], positions_or_normals[: start_index + 1]]
+                )
+                for positions_or_normals in (chained_points, point_normals)
             )
             corner_indices = [corner_index - start_index for corner_index in corner_indices]
-        for part_start, part_stop in pairwise(sorted({0, *corner_indices, len(edge_vectors)})):
+        for first_index_of_part, last_index_of_part in pairwise(
+            sorted({0, *corner_indices, len(edge_vectors)})
+        ):
             ends_at_surface = (
-                part_start == 0 and not is_closed,
-                part_stop == len(edge_vectors) and not is_closed,
+                first_index_of_part == 0 and not is_closed,
+                last_index_of_part == len(edge_vectors) and not is_closed,
             )
             yield (
-                chained_points[part_start : part_stop + 1],
-                point_normals[part_start : part_stop + 1],
+                chained_points[first_index_of_part : last_index_of_part + 1],
+                point_normals[first_index_of_part : last_index_of_part + 1],
                 is_closed and not corner_indices,
                 ends_at_surface,
             )
@@ -404,32 +423,37 @@ def _fit_parameters_and_curve(
                 -2.0 * scaled_y,
             ]
         )
-        a, b, c, d, e = np.linalg.lstsq(conic_terms, np.ones(len(scaled_x)), rcond=None)[0]
-        quadratic_form = np.array([[a, b], [b, c]])
+        xx_coefficient, xy_coefficient, yy_coefficient, x_coefficient, y_coefficient = (
+            np.linalg.lstsq(conic_terms, np.ones(len(scaled_x)), rcond=None)[0]
+        )
+        quadratic_form = np.array(
+            [[xx_coefficient, xy_coefficient], [xy_coefficient, yy_coefficient]]
+        )
         if np.linalg.det(quadratic_form) > 0.0:
-            scaled_center = np.linalg.solve(quadratic_form, [d, e])
-            eigenvalues, eigenvectors = np.linalg.eigh(
-                quadratic_form / (1.0 + scaled_center @ quadratic_form @ scaled_center)
+            scaled_ellipse_center = np.linalg.solve(quadratic_form, [x_coefficient, y_coefficient])
+            conic_eigenvalues, conic_eigenvectors = np.linalg.eigh(
+                quadratic_form
+                / (1.0 + scaled_ellipse_center @ quadratic_form @ scaled_ellipse_center)
             )
             unit_points = (
-                (np.column_stack([scaled_x, scaled_y]) - scaled_center)
-                @ eigenvectors
-                * np.sqrt(np.abs(eigenvalues))
+                (np.column_stack([scaled_x, scaled_y]) - scaled_ellipse_center)
+                @ conic_eigenvectors
+                * np.sqrt(np.abs(conic_eigenvalues))
             )
             if (
-                np.all(eigenvalues > 0.0)
+                np.all(conic_eigenvalues > 0.0)
                 and np.abs(np.linalg.norm(unit_points, axis=1) - 1.0).max() < 1e-5
             ):
                 t = np.unwrap(np.arctan2(unit_points[:, 1], unit_points[:, 0]))
                 turning_sign = np.sign(t[-1] - t[0])
                 half_axes = (
                     extents[0]
-                    * (eigenvectors / np.sqrt(eigenvalues))
+                    * (conic_eigenvectors / np.sqrt(conic_eigenvalues))
                     @ np.diag([1.0, turning_sign])
                 )
                 return turning_sign * t, partial(
                     _evaluate_ellipse,
-                    centroid + extents[0] * scaled_center @ axes[:2],
+                    centroid + extents[0] * scaled_ellipse_center @ axes[:2],
                     half_axes.T @ axes[:2],
                 )
     edge_lengths = np.linalg.norm(np.diff(node_positions, axis=0), axis=1)

@@ -52,7 +52,7 @@ Slit = tuple[int, range]
 """
 
 
-class _GradedFace:
+class _GradedCrackFace:
     """Element lengths along a crack face, geometrically shorter towards a tip.
 
     The face of a crack with a mouth has ``mesh.lip_elements`` elements from the mouth to the tip. A
@@ -101,10 +101,17 @@ class _GradedFace:
 
     def count_elements(self, start: float, stop: float) -> float:
         """Integrate 1 / element length over an interval: number of elements, not rounded."""
-        start_length, stop_length = self.element_length(start), self.element_length(stop)
-        if abs(start_length - stop_length) < 1e-9 * start_length:
-            return (stop - start) / start_length
-        return (stop - start) * math.log(start_length / stop_length) / (start_length - stop_length)
+        element_length_at_start, element_length_at_stop = (
+            self.element_length(start),
+            self.element_length(stop),
+        )
+        if abs(element_length_at_start - element_length_at_stop) < 1e-9 * element_length_at_start:
+            return (stop - start) / element_length_at_start
+        return (
+            (stop - start)
+            * math.log(element_length_at_start / element_length_at_stop)
+            / (element_length_at_start - element_length_at_stop)
+        )
 
 
 def find_plate_columns_rows_and_slits(
@@ -187,12 +194,12 @@ def _intervals_with_equal_elements(
     } | {0: 0.0, n_elements: side_length}
     return [
         ElementInterval(
-            position_by_grid_line[first_line],
-            position_by_grid_line[last_line],
-            last_line - first_line,
+            position_by_grid_line[first_grid_line],
+            position_by_grid_line[last_grid_line],
+            last_grid_line - first_grid_line,
             1.0,
         )
-        for first_line, last_line in pairwise(sorted(position_by_grid_line))
+        for first_grid_line, last_grid_line in pairwise(sorted(position_by_grid_line))
     ]
 
 
@@ -201,21 +208,21 @@ def _index_of_nearest_position(positions: np.ndarray, position: float) -> int:
     return int(np.argmin(np.abs(positions - position)))
 
 
-def _graded_faces(scene: Scene, crack: Crack) -> list[_GradedFace]:
+def _graded_crack_faces(scene: Scene, crack: Crack) -> list[_GradedCrackFace]:
     """Return the graded parts of a crack's face, one for each tip.
 
     A crack inside the plate has two parts, from its middle to either tip.
     """
     width = scene.geometry.sides[0]
-    left_end, right_end = crack.span(width)
-    coarse_end_position = 0.5 * (left_end + right_end)
-    if left_end == 0.0:
-        coarse_end_position = left_end
-    elif right_end == width:
-        coarse_end_position = right_end
+    crack_left_end, crack_right_end = crack.span(width)
+    coarse_end_position = 0.5 * (crack_left_end + crack_right_end)
+    if crack_left_end == 0.0:
+        coarse_end_position = crack_left_end
+    elif crack_right_end == width:
+        coarse_end_position = crack_right_end
     return [
-        _GradedFace(scene, coarse_end_position, tip_position)
-        for tip_position in (left_end, right_end)
+        _GradedCrackFace(scene, coarse_end_position, tip_position)
+        for tip_position in (crack_left_end, crack_right_end)
         if tip_position != coarse_end_position
     ]
 
@@ -229,24 +236,24 @@ def _graded_columns_and_rows(scene: Scene) -> tuple[list[ElementInterval], list[
             for side_length in (width, height)
         )
         return columns, rows
-    graded_faces: list[_GradedFace] = []
-    levels_and_element_lengths: list[tuple[float, float]] = []
+    graded_faces: list[_GradedCrackFace] = []
+    crack_heights_and_element_lengths: list[tuple[float, float]] = []
     for crack in scene.crack_by_name.values():
-        for face in _graded_faces(scene, crack):
+        for face in _graded_crack_faces(scene, crack):
             graded_faces.append(face)
-            levels_and_element_lengths.append((crack.height or 0.0, face.tip_element_length))
+            crack_heights_and_element_lengths.append((crack.height or 0.0, face.tip_element_length))
     tips_and_element_lengths = [
         (face.tip_position, face.tip_element_length) for face in graded_faces
     ]
     return _intervals_with_graded_elements(
         width, tips_and_element_lengths, graded_faces, element_size
-    ), _intervals_with_graded_elements(height, levels_and_element_lengths, [], element_size)
+    ), _intervals_with_graded_elements(height, crack_heights_and_element_lengths, [], element_size)
 
 
 def _intervals_with_graded_elements(
     extent: float,
     tip_positions_and_element_lengths: list[tuple[float, float]],
-    faces: list[_GradedFace],
+    faces: list[_GradedCrackFace],
     size: float,
 ) -> list[ElementInterval]:
     """Divide a side into intervals with element lengths graded between given positions.
@@ -257,7 +264,7 @@ def _intervals_with_graded_elements(
         Length of the side.
     tip_positions_and_element_lengths : list of (position, length) [m]
         Tips on the side, or heights of cracks, with the element length there.
-    faces : list of _GradedFace
+    faces : list of _GradedCrackFace
         Crack faces along the side.
     size : float [m]
         Element length elsewhere.
@@ -265,23 +272,23 @@ def _intervals_with_graded_elements(
     # Closer positions are equal; cracks and tips are farther from the plate's edges.
     tolerance = MIN_RELATIVE_CELL_SIZE * extent
 
-    def lengths_at_tip(position: float) -> list[float]:
+    def lengths_at_tip(cut_position: float) -> list[float]:
         """Return the element lengths [m] prescribed at a position; empty off tips and cracks."""
         return [
             tip_length
             for tip, tip_length in tip_positions_and_element_lengths
-            if abs(tip - position) <= tolerance
+            if abs(tip - cut_position) <= tolerance
         ]
 
-    def element_length(position: float, faces_along: list[_GradedFace]) -> float:
+    def element_length(cut_position: float, faces_along: list[_GradedCrackFace]) -> float:
         """Return the element length [m] at a position.
 
         The crack faces ``faces_along`` or a tip require the shortest length. Without faces the
         length is at most ``size``.
         """
         return min(
-            ([face.element_length(position) for face in faces_along] or [size])
-            + lengths_at_tip(position)
+            ([face.element_length(cut_position) for face in faces_along] or [size])
+            + lengths_at_tip(cut_position)
         )
 
     def make_intervals(start: float, stop: float) -> list[ElementInterval]:
@@ -302,7 +309,9 @@ def _intervals_with_graded_elements(
         start_length = element_length(start, faces_along)
         stop_length = element_length(stop, faces_along)
         if not (lengths_at_tip(start) and lengths_at_tip(stop)):
-            return [_graded_interval(start, stop, start_length, stop_length, faces_along)]
+            return [
+                _make_graded_element_interval(start, stop, start_length, stop_length, faces_along)
+            ]
         middle = 0.5 * (start + stop)
         max_length = max(
             start_length, stop_length, MAX_ELEMENT_LENGTH_PER_DISTANCE * 0.5 * (stop - start)
@@ -312,20 +321,24 @@ def _intervals_with_graded_elements(
             (start, middle, start_length, middle_length),
             (middle, stop, middle_length, stop_length),
         )
-        return [_graded_interval(*segment, faces_along) for segment in segments]
+        return [_make_graded_element_interval(*segment, faces_along) for segment in segments]
 
     interval_bounds = [0.0]
-    cuts = [position for position, _ in tip_positions_and_element_lengths] + [
+    cuts = [cut_position for cut_position, _ in tip_positions_and_element_lengths] + [
         face.coarse_end_position for face in faces
     ]
-    for position in sorted([*cuts, extent]):
-        if position - interval_bounds[-1] > tolerance:
-            interval_bounds.append(position)
+    for cut_position in sorted([*cuts, extent]):
+        if cut_position - interval_bounds[-1] > tolerance:
+            interval_bounds.append(cut_position)
     return [interval for ends in pairwise(interval_bounds) for interval in make_intervals(*ends)]
 
 
-def _graded_interval(
-    start: float, stop: float, start_length: float, stop_length: float, faces: list[_GradedFace]
+def _make_graded_element_interval(
+    start: float,
+    stop: float,
+    start_length: float,
+    stop_length: float,
+    faces: list[_GradedCrackFace],
 ) -> ElementInterval:
     """Return an interval with geometrically graded elements.
 
@@ -364,7 +377,7 @@ def _graded_count_and_ratio(
 
 
 @dataclass(frozen=True)
-class Grading:
+class PointGrading:
     """Element length h = min_length + length_per_distance d around a point.
 
     d is the distance from the point (x, y). Lengths are in gmsh's unit.
@@ -375,17 +388,17 @@ class Grading:
     length_per_distance: float
 
 
-def crack_gradings(scene: Scene) -> list[Grading]:
+def crack_tip_gradings(scene: Scene) -> list[PointGrading]:
     """Return a grading of element lengths around each crack tip in a plate.
 
     A grading states the element length as a function of the distance from the tip.
     """
     return [
-        Grading(
+        PointGrading(
             (face.tip_position, crack.given("height")),
             face.tip_element_length,
             max(1.0 / face.length_over_next_from_tip - 1.0, MAX_ELEMENT_LENGTH_PER_DISTANCE),
         )
         for crack in scene.crack_by_name.values()
-        for face in _graded_faces(scene, crack)
+        for face in _graded_crack_faces(scene, crack)
     ]

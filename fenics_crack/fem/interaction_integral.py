@@ -45,7 +45,7 @@ from fenics_crack.scene.scene import Scene
 RADIUS_TO_CLEARANCE = 0.8
 """Radius of the integration domain, relative to the tip's distance from the nearest boundary, bend
 or other crack."""
-PLATEAU_FRACTION = 0.2
+WEIGHT_PLATEAU_RADIUS_FRACTION = 0.2
 """Fraction of the integration domain's radius up to which the weight q is 1."""
 QUADRATURE_DEGREE = 8
 """Polynomial degree up to which quadrature is exact. The singular field is no polynomial, hence the
@@ -101,7 +101,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
     """
     tips: list[Tip] = []
     cracks = dofs.part_mesh.crack_paths_or_surfaces
-    boundary_points = gather_rows(dofs.comm, _outer_boundary_points(dofs))
+    outer_boundary_points = gather_rows(dofs.comm, _outer_boundary_points(dofs))
     for crack_index, crack in enumerate(cracks):
         assert isinstance(crack, CrackPath)
         crack_note = f" of crack {crack_index + 1}" if len(cracks) > 1 else ""
@@ -113,25 +113,25 @@ def find_tips(dofs: Dofs) -> list[Tip]:
             tip_ends.append(("left crack tip", crack.points[::-1], 0.0))
         for tip_name, path_points_to_tip, arc_length in tip_ends:
             tip_point = path_points_to_tip[-1]
-            offsets_from_path_corners = tip_point - path_points_to_tip[:-1]
-            growth_direction = offsets_from_path_corners[-1] / np.linalg.norm(
-                offsets_from_path_corners[-1]
+            tip_offsets_from_path_corners = tip_point - path_points_to_tip[:-1]
+            growth_direction = tip_offsets_from_path_corners[-1] / np.linalg.norm(
+                tip_offsets_from_path_corners[-1]
             )
             is_off_line = np.abs(
-                offsets_from_path_corners @ [-growth_direction[1], growth_direction[0]]
-            ) > 1e-6 * np.linalg.norm(offsets_from_path_corners, axis=1)
+                tip_offsets_from_path_corners @ [-growth_direction[1], growth_direction[0]]
+            ) > 1e-6 * np.linalg.norm(tip_offsets_from_path_corners, axis=1)
             straight_length = np.linalg.norm(
-                offsets_from_path_corners[np.flatnonzero(is_off_line).max(initial=-1) + 1 :][0]
+                tip_offsets_from_path_corners[np.flatnonzero(is_off_line).max(initial=-1) + 1 :][0]
             )
-            crack_distances = [
-                other_crack.locate(tip_point[None])[0][0]
+            distances_to_other_cracks = [
+                other_crack.find_distances_and_positions(tip_point[None])[0][0]
                 for other_crack in cracks
                 if other_crack is not crack
             ]
             tip_clearance = min(
                 straight_length,
-                np.linalg.norm(boundary_points - tip_point, axis=1).min(),
-                *crack_distances,
+                np.linalg.norm(outer_boundary_points - tip_point, axis=1).min(),
+                *distances_to_other_cracks,
             )
             tips.append(
                 Tip(
@@ -169,10 +169,12 @@ def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndar
     are the nodes on crack faces.
     """
     for tip in tips:
-        face_point_distances = np.linalg.norm(face_points - tip.point, axis=1)
+        tip_distances_of_face_nodes = np.linalg.norm(face_points - tip.point, axis=1)
         element_length = (
             scene.mesh.order
-            * face_point_distances[face_point_distances > 1e-9 * tip.domain_radius].min()
+            * tip_distances_of_face_nodes[
+                tip_distances_of_face_nodes > 1e-9 * tip.domain_radius
+            ].min()
         )
         if tip.domain_radius >= element_length:
             continue
@@ -219,7 +221,11 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     tips = find_tips(dofs)
     face_normals = _crack_face_normals_at_nodes(dofs)
     node_positions = dofs.points
-    assemble_row, displacement_rows, contact_force_rows = _make_row_assembler(scene, dofs), [], []
+    assemble_row, displacement_factor_rows, contact_force_factor_rows = (
+        _make_row_assembler(scene, dofs),
+        [],
+        [],
+    )
     is_face_node = np.any(face_normals != 0.0, axis=1)[: dofs.n_own_nodes]
     _check_tips_are_resolved(
         scene, tips, gather_rows(dofs.comm, node_positions[: dofs.n_own_nodes][is_face_node])
@@ -227,13 +233,13 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     for tip in tips:
         for mode in range(2):
             nodal_field = _weighted_singular_field(scene, tip, mode, node_positions, face_normals)
-            displacement_rows.append(assemble_row(tip, mode, nodal_field))
-            contact_force_rows.append(
+            displacement_factor_rows.append(assemble_row(tip, mode, nodal_field))
+            contact_force_factor_rows.append(
                 _contact_force_factors(
                     scene, structure, tip, mode, dofs.restrict_to_free(nodal_field.ravel())
                 )
             )
-    return tips, np.array(displacement_rows), np.array(contact_force_rows)
+    return tips, np.array(displacement_factor_rows), np.array(contact_force_factor_rows)
 
 
 def _crack_face_normals_at_nodes(dofs: Dofs) -> np.ndarray:
@@ -280,11 +286,11 @@ def _singular_displacement_derivative(
         -(kolosov + 2.0 + cos_angle - 2.0 * sin_angle * sin_angle) * sin_half_angle,
         -(kolosov - 2.0 + cos_angle + 2.0 * sin_angle * sin_angle) * cos_half_angle,
     )
-    derivative_1, derivative_2 = (
+    derivative_component_1, derivative_component_2 = (
         (1.0 - mode) * mode_1_part + mode * mode_2_part
         for mode_1_part, mode_2_part in zip(mode_1_components, mode_2_components, strict=True)
     )
-    return derivative_1 / r**0.5, derivative_2 / r**0.5
+    return derivative_component_1 / r**0.5, derivative_component_2 / r**0.5
 
 
 def _kolosov_and_field_scale(scene: Scene) -> tuple[float, float]:
@@ -303,9 +309,16 @@ def find_weight_and_slope(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndar
     ``radius_ratio`` is r / R, distance from the tip or front over the integration domain's radius.
     q is 1 up to r = 0.2 R, and falls smoothly to 0 at R.
     """
-    ramp_position = np.clip((radius_ratio - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
+    ramp_position = np.clip(
+        (radius_ratio - WEIGHT_PLATEAU_RADIUS_FRACTION) / (1.0 - WEIGHT_PLATEAU_RADIUS_FRACTION),
+        0.0,
+        1.0,
+    )
     slope_by_radius_ratio = (
-        -30.0 * ramp_position**2 * (1.0 - ramp_position) ** 2 / (1.0 - PLATEAU_FRACTION)
+        -30.0
+        * ramp_position**2
+        * (1.0 - ramp_position) ** 2
+        / (1.0 - WEIGHT_PLATEAU_RADIUS_FRACTION)
     )
     weight = 1.0 - ramp_position**3 * (10.0 - 15.0 * ramp_position + 6.0 * ramp_position**2)
     return weight, slope_by_radius_ratio
@@ -339,13 +352,13 @@ def _weighted_singular_field(
         np.sqrt(np.maximum(r + x_sign * x, 0.0) / (2.0 * r)) for x_sign in (1.0, -1.0)
     )
     kolosov, field_scale = _kolosov_and_field_scale(scene)
-    derivative_1, derivative_2 = _singular_displacement_derivative(
+    derivative_component_1, derivative_component_2 = _singular_displacement_derivative(
         r, cos_half_angle, side_signs * sin_half_angle, kolosov, mode
     )
-    scaled_weights = field_scale * find_weight_and_slope(r / tip.domain_radius)[0]
-    weighted_field[is_in_domain] = (scaled_weights * derivative_1)[
+    weights_times_field_scale = field_scale * find_weight_and_slope(r / tip.domain_radius)[0]
+    weighted_field[is_in_domain] = (weights_times_field_scale * derivative_component_1)[
         :, None
-    ] * tip.growth_direction + (scaled_weights * derivative_2)[:, None] * e_2
+    ] * tip.growth_direction + (weights_times_field_scale * derivative_component_2)[:, None] * e_2
     return weighted_field
 
 
@@ -370,21 +383,25 @@ def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndar
     r = ufl.sqrt(x * x + y * y)
     cos_half_angle = ufl.sqrt((r + x) / (2.0 * r))
     sin_half_angle = ufl.sign(y) * ufl.sqrt((r - x) / (2.0 * r))
-    derivative_1, derivative_2 = _singular_displacement_derivative(
+    derivative_component_1, derivative_component_2 = _singular_displacement_derivative(
         r, cos_half_angle, sin_half_angle, kolosov, mode_constant
     )
-    singular_derivative = field_scale * (derivative_1 * e_1 + derivative_2 * e_2)
-    ramp_position = (r / domain_radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION)
+    singular_derivative = field_scale * (
+        derivative_component_1 * e_1 + derivative_component_2 * e_2
+    )
+    ramp_position = (r / domain_radius - WEIGHT_PLATEAU_RADIUS_FRACTION) / (
+        1.0 - WEIGHT_PLATEAU_RADIUS_FRACTION
+    )
     q_slope = (
         -30.0
         * ramp_position**2
         * (1.0 - ramp_position) ** 2
-        / (domain_radius * (1.0 - PLATEAU_FRACTION))
+        / (domain_radius * (1.0 - WEIGHT_PLATEAU_RADIUS_FRACTION))
     )
     is_on_ramp = ufl.And(ufl.gt(ramp_position, 0.0), ufl.lt(ramp_position, 1.0))
     q_gradient = ufl.conditional(is_on_ramp, q_slope, 0.0) / r * offset_from_tip
     test_function = ufl.TestFunction(space)
-    test_strain, derivative_strain, nodal_strain = (
+    test_strain, derivative_strain, strain_of_nodal_field = (
         ufl.sym(ufl.grad(vector_field))
         for vector_field in (test_function, singular_derivative, nodal_function)
     )
@@ -403,7 +420,7 @@ def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndar
     functional_form -= (
         0.5
         * youngs_modulus
-        * ufl.inner(stress_expression(scene, space, nodal_strain), test_strain)
+        * ufl.inner(stress_expression(scene, space, strain_of_nodal_field), test_strain)
         * ufl.dx
     )
     compiled_form = compat.compile_form(functional_form)

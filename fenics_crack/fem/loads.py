@@ -30,10 +30,10 @@ from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.elasticity import thickness_constant
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.fem.setting import list_force_harmonic_vectors
+from fenics_crack.fem.setting import list_mean_cos_and_sin_force_vectors
 from fenics_crack.model.nodes import (
-    MAX_NODE_DISTANCE_RATIO,
-    Clamp,
+    MAX_POINT_TO_NODE_DISTANCE_RATIO,
+    ClampReactionData,
     describe_nearest_node,
     find_node_indices_at,
 )
@@ -69,7 +69,9 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         A load is off the mesh or acts only on clamped dofs. Or a point load is on a crack, so the
         crack face is not determined.
     """
-    nodal_force_harmonics = np.zeros((2 * scene.highest_order + 1, len(dofs.structure_dof_numbers)))
+    nodal_force_harmonics = np.zeros(
+        (2 * scene.highest_load_harmonic + 1, len(dofs.structure_dof_numbers))
+    )
     watched_vector = None
     excitation = scene.excitation
     point_load_position = (
@@ -78,9 +80,9 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         else dofs.part_mesh.position_by_point_name.get("load")
     )
     if point_load_position is not None:
-        force_vectors = list_force_harmonic_vectors(scene)
+        point_load_harmonics = list_mean_cos_and_sin_force_vectors(scene)
         load_force_harmonics, displacement_weights = _assemble_point_load(
-            scene, dofs, "excitation", point_load_position, force_vectors
+            scene, dofs, "excitation", point_load_position, point_load_harmonics
         )
         nodal_force_harmonics += load_force_harmonics
         watched_vector = (
@@ -102,7 +104,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
             if watched_vector is None and np.any(
                 gather_rows(dofs.comm, load_force_harmonics.ravel())
             ):
-                watched_vector = _make_watch_vector_at_edge(
+                watched_vector = _make_watch_vector_at_edge_middle(
                     dofs, str(load.edge), load_force_harmonics
                 )
         nodal_force_harmonics[: len(load_force_harmonics)] += load_force_harmonics
@@ -115,13 +117,13 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
                 dofs, owned_nodes, clamp_center, -1, scene.base.dominant_unit_vector
             )
         for row_index, acceleration in enumerate(scene.base.accelerations, 1):
-            nodal_force_harmonics[row_index] -= _inertia_forces(
+            nodal_force_harmonics[row_index] -= _multiply_mass_by_acceleration(
                 mass, np.tile(acceleration, dofs.n_own_nodes)
             )
     if (
         watched_vector is None
         and point_load_position is not None
-        and not any(map(any, force_vectors))
+        and not any(map(any, point_load_harmonics))
     ):
         mean_and_cos_directions = [np.eye(dofs.dimension)[0].tolist()] * 2
         _, watched_vector = _assemble_point_load(
@@ -142,8 +144,8 @@ def _largest_force_direction(force_vectors: Sequence[Vector]) -> Vector:
     )
     if not any(largest_force_vector):
         largest_force_vector = mean_force_vector
-    largest_force = math.hypot(*largest_force_vector)
-    return tuple(component / largest_force for component in largest_force_vector)
+    largest_force_magnitude = math.hypot(*largest_force_vector)
+    return tuple(component / largest_force_magnitude for component in largest_force_vector)
 
 
 def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
@@ -158,16 +160,18 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     InputError
         The point is off the mesh. Or the point is on a crack, so the crack face is not determined.
     """
-    if face_point_pairs := [
-        lower_and_upper_point
+    if point_pairs_beside_cracks := [
+        points_below_and_above_crack
         for crack in dofs.part_mesh.crack_paths_or_surfaces
-        if (lower_and_upper_point := crack.points_beside(point)) is not None
+        if (points_below_and_above_crack := crack.points_beside(point)) is not None
     ]:
-        (lower_point, upper_point), *_ = face_point_pairs
+        (point_below_crack, point_above_crack), *_ = point_pairs_beside_cracks
         requirement = (
             "a point on one of the two crack faces: {} on the lower face, or {} on the upper face"
         )
-        raise InputError(key, tuple(point), requirement.format(lower_point, upper_point))
+        raise InputError(
+            key, tuple(point), requirement.format(point_below_crack, point_above_crack)
+        )
     all_node_positions = gather_rows(dofs.comm, dofs.points)
     owned_node_numbers = dofs.first_node + np.arange(dofs.n_own_nodes)
     if len(coincident_nodes := find_node_indices_at(all_node_positions, point)):
@@ -182,7 +186,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
         mesh_extent = np.ptp(all_node_positions, axis=0).max()
         if (
             scene.geometry.file is None
-            or node_distances.min() > MAX_NODE_DISTANCE_RATIO * mesh_extent
+            or node_distances.min() > MAX_POINT_TO_NODE_DISTANCE_RATIO * mesh_extent
         ):
             raise InputError(
                 key,
@@ -196,13 +200,15 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     # The cell may have nodes of other ranks: pass every fraction to the node's owner.
     cell_nodes = dofs.space.dofmap.index_map.local_to_global(local_cell_nodes.astype(np.int32))
     cell_nodes = gather_rows(dofs.comm, np.asarray(cell_nodes, dtype=np.int64))
-    cell_fractions = gather_rows(dofs.comm, basis_values)
+    fractions_at_cell_nodes = gather_rows(dofs.comm, basis_values)
     is_owned_node = (cell_nodes >= dofs.first_node) & (
         cell_nodes < dofs.first_node + dofs.n_own_nodes
     )
     node_fractions = np.zeros(dofs.n_own_nodes)
     np.add.at(
-        node_fractions, cell_nodes[is_owned_node] - dofs.first_node, cell_fractions[is_owned_node]
+        node_fractions,
+        cell_nodes[is_owned_node] - dofs.first_node,
+        fractions_at_cell_nodes[is_owned_node],
     )
     return node_fractions
 
@@ -289,8 +295,8 @@ def _assemble_edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.n
     nodal_edge_areas = test_function_integrals.reshape(-1, dofs.dimension)[:, 0]
     nodal_force_harmonics = np.array(
         [
-            _distribute_vector(dofs, nodal_edge_areas, load_component)
-            for load_component in load.harmonic_components("traction")
+            _distribute_vector(dofs, nodal_edge_areas, load_harmonic)
+            for load_harmonic in load.harmonic_components("traction")
         ]
     )
     facet_normal = ufl.FacetNormal(dofs.space.mesh)
@@ -299,14 +305,14 @@ def _assemble_edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.n
     )
     nodal_force_harmonics += np.array(
         [
-            sum(load_component) * unit_pressure_force
-            for load_component in load.harmonic_components("pressure")
+            sum(load_harmonic) * unit_pressure_force
+            for load_harmonic in load.harmonic_components("pressure")
         ]
     )
     return _checked_force_on_free_dofs(dofs, f"{key}.edge", load.edge, nodal_force_harmonics)
 
 
-def _make_watch_vector_at_edge(
+def _make_watch_vector_at_edge_middle(
     dofs: Dofs, edge: str, nodal_force_harmonics: np.ndarray
 ) -> np.ndarray:
     """Return the vector to watch the displacement at an edge's middle: (n_local,).
@@ -330,7 +336,9 @@ def _make_watch_vector_at_edge(
 # --- the clamp ------------------------------------------------------------------------------------
 
 
-def make_clamp(dofs: Dofs, mass: Any, nodal_force_harmonics: np.ndarray) -> Clamp:
+def make_clamp_for_reactions(
+    dofs: Dofs, mass: Any, nodal_force_harmonics: np.ndarray
+) -> ClampReactionData:
     """Return the data to compute reaction forces and moments at the clamp (collective).
 
     ``mass`` and ``nodal_force_harmonics`` (2K+1, n_dofs) [N] include the clamped dofs. Moments are
@@ -343,10 +351,13 @@ def make_clamp(dofs: Dofs, mass: Any, nodal_force_harmonics: np.ndarray) -> Clam
     rigid_motion_rows = rigid_motion_displacements(dofs.points - clamp_center)
     inertia_rows = dofs.restrict_to_free(
         np.array(
-            [_inertia_forces(mass, rigid_motion_row) for rigid_motion_row in rigid_motion_rows]
+            [
+                _multiply_mass_by_acceleration(mass, rigid_motion_displacement)
+                for rigid_motion_displacement in rigid_motion_rows
+            ]
         )
     )
-    return Clamp(
+    return ClampReactionData(
         clamp_center, inertia_rows, dofs.comm.allreduce(nodal_force_harmonics @ rigid_motion_rows.T)
     )
 
@@ -367,15 +378,15 @@ def rigid_motion_displacements(points: np.ndarray) -> np.ndarray:
     return np.array([motion.ravel() for motion in motions])
 
 
-def _inertia_forces(mass: Any, acceleration: np.ndarray) -> np.ndarray:
+def _multiply_mass_by_acceleration(mass: Any, acceleration: np.ndarray) -> np.ndarray:
     """Return the mass matrix M times an acceleration (n_dofs,) [m/s^2]: (n_dofs,) [N]."""
     petsc_acceleration, petsc_force = mass.createVecs()
     petsc_acceleration.array[:] = acceleration
     mass.mult(petsc_acceleration, petsc_force)
-    inertia_force_array = np.array(petsc_force.array_r)
+    mass_times_acceleration = np.array(petsc_force.array_r)
     petsc_acceleration.destroy()
     petsc_force.destroy()
-    return inertia_force_array
+    return mass_times_acceleration
 
 
 def _make_watch_vector_at_node(
@@ -392,9 +403,9 @@ def _make_watch_vector_at_node(
     distance_order = np.lexsort(
         [*all_points.T, np.round(node_distances / max(node_distances.max(), 1e-300), 9)]
     )
-    selected_nodes = nodes[
+    nodes_at_selected_point = nodes[
         np.all(dofs.points[nodes] == all_points[distance_order[distance_rank]], axis=1)
     ]
     watched_vector = np.zeros((dofs.n_own_nodes, dofs.dimension))
-    watched_vector[selected_nodes[:1]] = direction
+    watched_vector[nodes_at_selected_point[:1]] = direction
     return dofs.restrict_to_free(watched_vector.ravel())

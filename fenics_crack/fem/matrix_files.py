@@ -18,7 +18,7 @@ from scipy.linalg import eigh
 from fenics_crack.basics.atomic_files import replace_files
 from fenics_crack.basics.errors import InputError, report_read_errors
 from fenics_crack.basics.ranks import call_on_each_rank, on_root
-from fenics_crack.fem.model_files import Model, read_model
+from fenics_crack.fem.model_files import ModelFileMesh, read_nodes_and_cells
 from fenics_crack.fem.model_pairs import find_coincident_node_pairs, find_gap_matrix_and_pairs
 from fenics_crack.model.factor import local_rows, make_matrix_from_local_rows
 from fenics_crack.model.matrices import make_whole_csr_matrix
@@ -37,16 +37,19 @@ from fenics_crack.scene.tables import Structure as StructureTable
 
 NASTRAN_LETTER_BY_MATRIX = {"mass": "M", "stiffness": "K", "damping": "B"}
 """Letter of each matrix in Nastran's files, which hold several matrices."""
-ROW_FILE_KEYS = ("gap", "tangential", *FORCE_KEYS)
+KEYS_OF_FILES_WITH_ROW_PER_DOF = ("gap", "tangential", *FORCE_KEYS)
 """Keys in ``[structure]`` of files with a row for each dof."""
 SCENE_FILE_NAME = "matrices.toml"
 """File name of the scene written by :func:`write_matrices`."""
 OUTPUT_FILE_NAMES = (
-    *(f"{n}.mtx" for n in (*NASTRAN_LETTER_BY_MATRIX, *ROW_FILE_KEYS, "clearance", "areas")),
+    *(
+        f"{n}.mtx"
+        for n in (*NASTRAN_LETTER_BY_MATRIX, *KEYS_OF_FILES_WITH_ROW_PER_DOF, "clearance", "areas")
+    ),
     SCENE_FILE_NAME,
 )
 """Names of all files that :func:`write_matrices` may write."""
-MAX_DENSE_DOFS = 3000
+MAX_DOFS_TO_WRITE_MODAL_DAMPING = 3000
 """Maximum number of dofs for writing modal damping as a matrix. The matrix is dense: 4.5 million
 numbers."""
 
@@ -70,9 +73,11 @@ def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Com
     except InputError as error:
         if error.key not in table.field_by_key():
             raise
-        value_of_key, problem_text = getattr(table, error.key), error.value
+        value_at_error_key, problem_text = getattr(table, error.key), error.value
         path_text = (
-            value_of_key if problem_text == value_of_key else f"{value_of_key} ({problem_text})"
+            value_at_error_key
+            if problem_text == value_at_error_key
+            else f"{value_at_error_key} ({problem_text})"
         )
         raise InputError(table.full_key(error.key), path_text, error.allowed) from None
 
@@ -90,12 +95,16 @@ def _make_structure(
         name: labelled_matrix.matrix for name, labelled_matrix in labelled_matrix_by_name.items()
     }
     n_dofs, row_order = stiffness_matrix.shape[0], np.arange(stiffness_matrix.shape[0])
-    pairs, own_nodes, row_labels = Pairs(), None, labelled_matrix_by_name["stiffness"].labels
+    pairs, nodes_with_positions_and_dofs, row_labels = (
+        Pairs(),
+        None,
+        labelled_matrix_by_name["stiffness"].labels,
+    )
     if model is not None:
         if row_labels is None:
             requirement = "given: the file with node and direction of each row, for structure.model"
             raise InputError("structure.dofs", None, requirement)
-        row_order, node_dofs, node_starts = _order_rows_by_nodes(model, row_labels, table)
+        row_order, node_dofs, node_starts = _find_row_order_and_node_dofs(model, row_labels, table)
         for name in labelled_matrix_by_name:
             structure_fields[name] = structure_fields[name][row_order][:, row_order]
         if scene.contact is not None and table.gap is None:
@@ -103,14 +112,17 @@ def _make_structure(
             structure_fields["gap"], pairs = find_gap_matrix_and_pairs(
                 model, node_dofs, structure_fields["stiffness"], has_rotations=has_rotations
             )
-        first_row, end_row = _own_row_range(node_starts, comm)
+        first_row_of_rank, first_row_of_next_rank = _own_row_range(node_starts, comm)
         for name in labelled_matrix_by_name:
             structure_fields[name] = make_matrix_from_local_rows(
-                structure_fields[name][first_row:end_row], comm
+                structure_fields[name][first_row_of_rank:first_row_of_next_rank], comm
             )
-        own_nodes = _own_nodes(model, node_dofs, first_row, end_row, comm)
+        nodes_with_positions_and_dofs = _own_nodes(
+            model, node_dofs, first_row_of_rank, first_row_of_next_rank, comm
+        )
     structure_fields |= {
-        name: gap_or_force[row_order] for name, gap_or_force in gaps_and_forces_by_name.items()
+        name: gap_or_force_matrix[row_order]
+        for name, gap_or_force_matrix in gaps_and_forces_by_name.items()
     }
     n_pairs = 0 if structure_fields["gap"] is None else structure_fields["gap"].shape[1]
     structure_fields["clearance"] = _read_number_or_pair_values(
@@ -119,30 +131,32 @@ def _make_structure(
     if table.areas is not None:
         pairs = replace(pairs, areas=_read_number_or_pair_values("areas", table.areas, n_pairs))
     if scene.excitation.point is not None:
-        assert own_nodes is not None
-        _, point_dofs = own_nodes.find_nearest_position_and_dofs(
+        assert nodes_with_positions_and_dofs is not None
+        _, dofs_of_excited_node = nodes_with_positions_and_dofs.find_nearest_position_and_dofs(
             comm, "excitation.point", scene.excitation.point
         )
         for name in FORCE_KEYS:
             force_column = sparse.lil_matrix(structure_fields.get(name, (n_dofs, 1)))
-            for dof, force_component in zip(
-                point_dofs, getattr(scene.excitation, name), strict=True
+            for dof, point_force_along_axis in zip(
+                dofs_of_excited_node, getattr(scene.excitation, name), strict=True
             ):
                 if dof >= 0:
-                    force_column[dof, 0] += force_component
+                    force_column[dof, 0] += point_force_along_axis
             structure_fields[name] = force_column
-    if scene.highest_order > 1:
+    if scene.highest_load_harmonic > 1:
         excitation_table = scene.excitation
         requirement = "left out with [structure]; its force files can have a column for each order"
         excitation_table.require(
             False, (excitation_table.wave and "wave") or "harmonics", requirement
         )
-    return Structure.from_matrices(**structure_fields, comm=comm).with_places(own_nodes, pairs)
+    return Structure.from_matrices(**structure_fields, comm=comm).with_places(
+        nodes_with_positions_and_dofs, pairs
+    )
 
 
 def _read_matrices_columns_and_model(
     table: StructureTable,
-) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None]:
+) -> tuple[dict[str, LabelledMatrix], dict[str, Any], ModelFileMesh | None]:
     """Read the files named in a table ``[structure]``.
 
     Returns
@@ -187,9 +201,11 @@ def _read_matrices_columns_and_model(
         with report_read_errors(
             "model", table.model, "the input file of the program that wrote the matrices"
         ):
-            model = read_model(Path(table.model))
+            model = read_nodes_and_cells(Path(table.model))
     path_by_name = {
-        name: path for name in ROW_FILE_KEYS if (path := getattr(table, name)) is not None
+        name: path
+        for name in KEYS_OF_FILES_WITH_ROW_PER_DOF
+        if (path := getattr(table, name)) is not None
     }
     n_rows = labelled_stiffness.matrix.shape[0]
     return (
@@ -202,8 +218,8 @@ def _read_matrices_columns_and_model(
     )
 
 
-def _order_rows_by_nodes(
-    model: Model, row_labels: np.ndarray, table: StructureTable
+def _find_row_order_and_node_dofs(
+    model: ModelFileMesh, row_labels: np.ndarray, table: StructureTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Order the matrices' rows so that rows of a node are neighbours.
 
@@ -218,23 +234,23 @@ def _order_rows_by_nodes(
     node_starts : (n + 1,) int
         First new row of each of the n nodes with rows, then the number of rows.
     """
-    _, first_rows, node_index_of_row = np.unique(
+    _, first_rows, unique_label_index_of_row = np.unique(
         row_labels[:, 0], return_index=True, return_inverse=True
     )
-    row_order = np.argsort(first_rows[node_index_of_row], kind="stable")
+    row_order = np.argsort(first_rows[unique_label_index_of_row], kind="stable")
     row_labels = row_labels[row_order]
     node_dofs = np.full((len(model.labels), 3), -1)
     model_node_of_row = np.minimum(
         np.searchsorted(model.labels, row_labels[:, 0]), len(model.labels) - 1
     )
-    is_known = model.labels[model_node_of_row] == row_labels[:, 0]
-    is_translation = is_known & (row_labels[:, 1] >= 1) & (row_labels[:, 1] <= 3)
+    is_row_of_model_node = model.labels[model_node_of_row] == row_labels[:, 0]
+    is_translation = is_row_of_model_node & (row_labels[:, 1] >= 1) & (row_labels[:, 1] <= 3)
     # Label 0 is no node, but a coordinate.
-    missing_nodes = row_labels[~is_known & (row_labels[:, 1] >= 1), 0]
-    if len(missing_nodes) or not np.any(is_translation):
+    row_labels_missing_in_model = row_labels[~is_row_of_model_node & (row_labels[:, 1] >= 1), 0]
+    if len(row_labels_missing_in_model) or not np.any(is_translation):
         problem_text = (
-            f"node {missing_nodes[0]} is missing"
-            if len(missing_nodes)
+            f"node {row_labels_missing_in_model[0]} is missing"
+            if len(row_labels_missing_in_model)
             else "no row is a displacement"
         )
         requirement = f"the model of {table.stiffness}, with the nodes of all its rows"
@@ -250,42 +266,50 @@ def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
     """Return start and stop of this rank's rows, ordered by nodes.
 
     All rows of a node are on one rank, and all ranks have about equally many rows. ``node_starts``
-    (n + 1,) comes from :func:`_order_rows_by_nodes`.
+    (n + 1,) comes from :func:`_find_row_order_and_node_dofs`.
     """
-    target_rows = node_starts[-1] * np.array([comm.rank, comm.rank + 1]) // comm.size
-    start, stop = node_starts[np.searchsorted(node_starts, target_rows)]
+    balanced_start_and_stop = node_starts[-1] * np.array([comm.rank, comm.rank + 1]) // comm.size
+    start, stop = node_starts[np.searchsorted(node_starts, balanced_start_and_stop)]
     return int(start), int(stop)
 
 
-def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm) -> Nodes:
+def _own_nodes(
+    model: ModelFileMesh, node_dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm
+) -> Nodes:
     """Return the nodes of this rank's rows ``start`` to ``stop``, with cells for drawing.
 
     Rank 0 also has all cells, and cell nodes without dofs. Cells are kept under two conditions. All
     cells have the same kind, but not wedges. And every matrix row is a model node's translation.
     """
-    nodes_have_all_dofs = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(stop - start)
+    are_all_rows_translations = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(
+        stop - start
+    )
     vtk_type = (
         next(iter(model.cells_by_vtk_type))
-        if len(model.cells_by_vtk_type) == 1 and nodes_have_all_dofs
+        if len(model.cells_by_vtk_type) == 1 and are_all_rows_translations
         else 0
     )
     vtk_type = 0 if vtk_type in (13, 26) else vtk_type  # VTK's wedges are not drawn
     cells = model.cells_by_vtk_type[vtk_type] if vtk_type else np.zeros((0, 1), dtype=int)
-    highest_rows = node_dofs.max(axis=1)
-    is_used = highest_rows >= 0
-    is_used[cells] = True
-    owner_rank = np.array(comm.allgather(stop)).searchsorted(highest_rows, side="right")
-    node_order = np.lexsort((np.arange(len(node_dofs)), np.where(highest_rows < 0, 0, owner_rank)))
-    node_order = node_order[is_used[node_order]]
+    highest_row_of_each_node = node_dofs.max(axis=1)
+    has_row_or_cell = highest_row_of_each_node >= 0
+    has_row_or_cell[cells] = True
+    owner_rank = np.array(comm.allgather(stop)).searchsorted(highest_row_of_each_node, side="right")
+    node_order = np.lexsort(
+        (np.arange(len(node_dofs)), np.where(highest_row_of_each_node < 0, 0, owner_rank))
+    )
+    node_order = node_order[has_row_or_cell[node_order]]
     new_numbers = np.empty(len(node_dofs), dtype=int)
     new_numbers[node_order] = np.arange(len(node_order))
     own_nodes = node_order[
-        np.where(highest_rows[node_order] < 0, 0, owner_rank[node_order]) == comm.rank
+        np.where(highest_row_of_each_node[node_order] < 0, 0, owner_rank[node_order]) == comm.rank
     ]
-    renumbered_cells = (
+    cells_in_numbering_of_all_ranks = (
         new_numbers[cells] if comm.rank == 0 else np.zeros((0, cells.shape[1]), dtype=int)
     )
-    return Nodes(model.points[own_nodes], node_dofs[own_nodes], renumbered_cells, vtk_type)
+    return Nodes(
+        model.points[own_nodes], node_dofs[own_nodes], cells_in_numbering_of_all_ranks, vtk_type
+    )
 
 
 def _read_number_or_pair_values(name: str, number_or_path: float | str, n_pairs: int) -> Any:
@@ -316,7 +340,7 @@ def table_pair_upper_bound(table: StructureTable) -> int:
         with report_read_errors("structure.gap", path, "a file that can be read"):
             if table.gap is not None:
                 return read_matrix_market_shape(Path(table.gap))[1]
-            return len(find_coincident_node_pairs(read_model(Path(path)).points))
+            return len(find_coincident_node_pairs(read_nodes_and_cells(Path(path)).points))
     except InputError:  # the reader reports the reason
         return 0
 
@@ -384,10 +408,13 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
     def write_files() -> None:
         """Write the gathered matrices and the scene; called on rank 0."""
         full_matrix_by_name = {
-            name: sparse.vstack(local_matrix)
-            for name, local_matrix in gathered_parts_by_name.items()
+            name: sparse.vstack(matrix_parts_of_ranks)
+            for name, matrix_parts_of_ranks in gathered_parts_by_name.items()
         }
-        if isinstance(structure.damping, ModalDamping) and structure.n_dofs <= MAX_DENSE_DOFS:
+        if (
+            isinstance(structure.damping, ModalDamping)
+            and structure.n_dofs <= MAX_DOFS_TO_WRITE_MODAL_DAMPING
+        ):
             squared_omegas, mode_shapes = eigh(
                 full_matrix_by_name["stiffness"].toarray(), full_matrix_by_name["mass"].toarray()
             )
@@ -419,9 +446,9 @@ def _scene_text(structure: Structure, file_by_name: dict[str, str], scene: Scene
     if isinstance(damping_rule, DampingRule):
         table_by_name["damping"] = Damping(
             **{
-                field_name: value
-                for field_name, value in vars(damping_rule).items()
-                if value is not None
+                damping_field_name: damping_field_value
+                for damping_field_name, damping_field_value in vars(damping_rule).items()
+                if damping_field_value is not None
             }
         )
         file_by_name = {

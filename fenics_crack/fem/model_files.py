@@ -25,7 +25,16 @@ from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 
 VTK_TYPE_BY_NODE_COUNT = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
 """VTK's cell type of tetrahedra, wedges and hexahedra, by number of nodes."""
-GENERATOR_KEYWORDS = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM", "TRANSFORM", "NMAP")
+KEYWORDS_GENERATING_NODES_OR_CELLS = (
+    "NGEN",
+    "NFILL",
+    "NCOPY",
+    "ELGEN",
+    "ELCOPY",
+    "SYSTEM",
+    "TRANSFORM",
+    "NMAP",
+)
 """Keywords of CalculiX and Abaqus that generate or rotate nodes or cells. A file with any such
 keyword is refused."""
 match_include = re.compile(r"\*\s*INCLUDE\b", re.IGNORECASE).match
@@ -45,7 +54,7 @@ vertical edges before upper edges."""
 
 
 @dataclass(frozen=True)
-class Model:
+class ModelFileMesh:
     """Nodes and solid cells from another program's input file.
 
     Attributes
@@ -63,7 +72,7 @@ class Model:
     cells_by_vtk_type: dict[int, np.ndarray]
 
 
-def read_model(path: Path) -> Model:
+def read_nodes_and_cells(path: Path) -> ModelFileMesh:
     """Read nodes and solid cells from another program's input file.
 
     The ending tells the format: .inp (CalculiX, Abaqus), .bdf, .dat or .nas (Nastran), .cdb
@@ -83,17 +92,21 @@ def read_model(path: Path) -> Model:
         raise ValueError("its files include each other without end") from None
     if not nodes:
         raise ValueError("it has no nodes")
-    labels = np.array(sorted(nodes), dtype=np.int64)
-    points = np.array([nodes[label] for label in labels.tolist()])
+    sorted_node_labels = np.array(sorted(nodes), dtype=np.int64)
+    points = np.array([nodes[label] for label in sorted_node_labels.tolist()])
     cells_by_type = {}
-    for vtk_type, label_lists in cells.items():
-        cell_labels = np.array(label_lists, dtype=np.int64)
-        cell_nodes = np.minimum(np.searchsorted(labels, cell_labels), len(labels) - 1)
-        if np.any(labels[cell_nodes] != cell_labels):
-            missing_label = cell_labels[labels[cell_nodes] != cell_labels][0]
+    for vtk_type, node_label_lists_of_cells in cells.items():
+        node_labels_of_cells = np.array(node_label_lists_of_cells, dtype=np.int64)
+        cell_nodes = np.minimum(
+            np.searchsorted(sorted_node_labels, node_labels_of_cells), len(sorted_node_labels) - 1
+        )
+        if np.any(sorted_node_labels[cell_nodes] != node_labels_of_cells):
+            missing_label = node_labels_of_cells[
+                sorted_node_labels[cell_nodes] != node_labels_of_cells
+            ][0]
             raise ValueError(f"an element has node {missing_label}, which the file does not define")
         cells_by_type[vtk_type] = cell_nodes
-    return Model(labels, points, cells_by_type)
+    return ModelFileMesh(sorted_node_labels, points, cells_by_type)
 
 
 def list_included_files(path: Path) -> list[Path]:
@@ -181,7 +194,11 @@ def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                 }
                 is_in_other_file = keyword in ("NODE", "ELEMENT") and "INPUT" in parameters
                 is_in_other_system = keyword == "NODE" and parameters.get("SYSTEM", "R") != "R"
-                if keyword in GENERATOR_KEYWORDS or is_in_other_file or is_in_other_system:
+                if (
+                    keyword in KEYWORDS_GENERATING_NODES_OR_CELLS
+                    or is_in_other_file
+                    or is_in_other_system
+                ):
                     raise NotImplementedError
                 if keyword == "INCLUDE":
                     _read_abaqus(_included_path(path, line), nodes, cells)
@@ -309,8 +326,8 @@ def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                     raise ValueError
                 block, node_labels = keyword[:6], []
             elif block and line.lstrip().startswith("("):
-                n_integers, integer_width, *real_numbers = map(int, re.findall(r"\d+", line))
-                real_width = real_numbers[1] if len(real_numbers) > 1 else 0
+                n_integers, integer_width, *real_format_numbers = map(int, re.findall(r"\d+", line))
+                real_width = real_format_numbers[1] if len(real_format_numbers) > 1 else 0
             elif keyword.startswith(("N,", "-1")):
                 if node_labels:
                     raise ValueError  # the last cell is incomplete

@@ -32,7 +32,7 @@ from fenics_crack.fem.cracks import (
     count_equal_rows,
     make_matrix_extending_pressures_to_front,
 )
-from fenics_crack.fem.model_files import Model
+from fenics_crack.fem.model_files import ModelFileMesh
 from fenics_crack.model.nodes import Pairs, format_point
 
 FACETS_BY_CORNER_COUNT = {
@@ -80,33 +80,38 @@ class _TwinNodes:
         Both nodes of each pair.
     pair_index : (n_nodes,) int
         Index of each node's pair; -1 for all other nodes.
-    place_numbers : (n_nodes,) int
+    coincident_group_number_of_node : (n_nodes,) int
         Number of each node's position, equal for coincident nodes.
-    connectivity : (n_nodes, n_nodes) bool
+    are_nodes_linked_by_stiffness : (n_nodes, n_nodes) bool
         True if the stiffness connects two nodes.
     is_in_half_held_pair : (n_nodes,) bool
         True for two coincident nodes if only one node has dofs. The other node is clamped, or tied
         by equations.
     """
 
-    def __init__(self, model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> None:
+    def __init__(
+        self, model: ModelFileMesh, dofs: np.ndarray, stiffness: sparse.csr_matrix
+    ) -> None:
         n_model_nodes, node_pairs = len(dofs), find_coincident_node_pairs(model.points)
         self.points, self.dofs, self.n_dofs = model.points, dofs, stiffness.shape[0]
         node_of_row = np.full(self.n_dofs, n_model_nodes)
         node_of_row[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
         stiffness_coo = stiffness.tocoo()
-        node_links = node_of_row[stiffness_coo.row].astype(np.int64), node_of_row[stiffness_coo.col]
-        link_values_and_indices = np.ones(len(stiffness_coo.data), bool), node_links
-        self.connectivity = sparse.csr_matrix(
+        nodes_of_stiffness_entries = (
+            node_of_row[stiffness_coo.row].astype(np.int64),
+            node_of_row[stiffness_coo.col],
+        )
+        link_values_and_indices = np.ones(len(stiffness_coo.data), bool), nodes_of_stiffness_entries
+        self.are_nodes_linked_by_stiffness = sparse.csr_matrix(
             link_values_and_indices, (n_model_nodes + 1, n_model_nodes + 1)
         )[:n_model_nodes, :n_model_nodes]
         is_free_node = np.any(dofs >= 0, axis=1)
         is_contact_pair = is_free_node[node_pairs].all(axis=1) & ~np.isin(
             n_model_nodes * node_pairs[:, 0] + node_pairs[:, 1],
-            n_model_nodes * node_links[0] + node_links[1],
+            n_model_nodes * nodes_of_stiffness_entries[0] + nodes_of_stiffness_entries[1],
         )
-        self.place_numbers = np.arange(n_model_nodes)
-        self.place_numbers[node_pairs[:, 1]] = node_pairs[:, 0]
+        self.coincident_group_number_of_node = np.arange(n_model_nodes)
+        self.coincident_group_number_of_node[node_pairs[:, 1]] = node_pairs[:, 0]
         self.is_in_half_held_pair = np.zeros(n_model_nodes, dtype=bool)
         self.is_in_half_held_pair[
             node_pairs[is_free_node[node_pairs[:, 0]] != is_free_node[node_pairs[:, 1]]]
@@ -116,9 +121,9 @@ class _TwinNodes:
             np.append(self.first_nodes, self.second_nodes), return_counts=True
         )
         if np.any(n_pairs_of_node > 1):
-            worst_node = unique_paired_nodes[np.argmax(n_pairs_of_node)]
-            place_text = format_point(model.points[worst_node], "g")
-            place_text += f", one of them is node {model.labels[worst_node]}"
+            node_in_most_pairs = unique_paired_nodes[np.argmax(n_pairs_of_node)]
+            place_text = format_point(model.points[node_in_most_pairs], "g")
+            place_text += f", one of them is node {model.labels[node_in_most_pairs]}"
             requirement = (
                 "a model with two nodes at each place of a crack, as cracks neither branch"
                 " nor cross"
@@ -140,7 +145,7 @@ class _TwinNodes:
 
 
 def find_gap_matrix_and_pairs(
-    model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix, *, has_rotations: bool
+    model: ModelFileMesh, dofs: np.ndarray, stiffness: sparse.csr_matrix, *, has_rotations: bool
 ) -> tuple[sparse.csr_matrix, Pairs]:
     """Find a model's contact pairs, crack by crack, from front to mouth.
 
@@ -171,18 +176,20 @@ def find_gap_matrix_and_pairs(
     twins = _TwinNodes(model, dofs, stiffness)
     facets = _crack_face_facets(model, twins)
     if facets:
-        gap, areas, twin_pair_index, front_nodes = _assemble_patch_gap_matrix(twins, facets)
+        gap, areas, twin_index_of_contact_pair, front_nodes = _assemble_patch_gap_matrix(
+            twins, facets
+        )
     else:
         has_surface_cracks = not has_rotations and np.all(np.any(dofs >= 0, axis=0))
         gap, front_nodes = _assemble_normal_gap_matrix(twins, 2 if has_surface_cracks else 1)
-        areas, twin_pair_index = None, np.arange(len(twins.first_nodes))
-    points = model.points[twins.first_nodes[twin_pair_index]]
-    crack_of_pair = _find_crack_of_each_pair(twins, twin_pair_index)
-    front_distances = np.zeros(len(twin_pair_index))
+        areas, twin_index_of_contact_pair = None, np.arange(len(twins.first_nodes))
+    pair_points = model.points[twins.first_nodes[twin_index_of_contact_pair]]
+    crack_of_pair = _find_crack_of_each_pair(twins, twin_index_of_contact_pair)
+    front_distances = np.zeros(len(twin_index_of_contact_pair))
     if len(front_nodes):
         from scipy.spatial import cKDTree
 
-        front_distances = cKDTree(model.points[front_nodes]).query(points)[0]
+        front_distances = cKDTree(model.points[front_nodes]).query(pair_points)[0]
     pair_order = np.lexsort((front_distances, crack_of_pair))
     crack_of_pair, front_distances = crack_of_pair[pair_order], front_distances[pair_order]
     mouth_pairs = np.flatnonzero(np.append(np.diff(crack_of_pair), 1))
@@ -191,39 +198,44 @@ def find_gap_matrix_and_pairs(
         for crack_number in crack_of_pair[mouth_pairs]
     ]
     contact_pairs = Pairs(
-        points[pair_order], None if areas is None else areas[pair_order], crack_of_pair,
+        pair_points[pair_order], None if areas is None else areas[pair_order], crack_of_pair,
         front_distances,
         dict(zip(mouth_names, mouth_pairs.tolist(), strict=True)),
     )  # fmt: skip
     return gap[:, pair_order], contact_pairs
 
 
-def _find_crack_of_each_pair(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray:
+def _find_crack_of_each_pair(
+    twins: _TwinNodes, twin_index_of_contact_pair: np.ndarray
+) -> np.ndarray:
     """Return the crack number of each pair: (n_pairs,) int.
 
     Two pairs are on the same crack if the stiffness connects their nodes on both faces, directly or
-    by a chain of pairs. Cracks are numbered from 0, from bottom to top. ``twin_pair_index``
-    (n_pairs,) has the index of each contact pair among the pairs of ``twins``.
+    by a chain of pairs. Cracks are numbered from 0, from bottom to top.
+    ``twin_index_of_contact_pair`` (n_pairs,) has the index of each contact pair among the pairs of
+    ``twins``.
     """
     from scipy.sparse.csgraph import connected_components
 
     # A first node may be on either face.
-    first_node_of_pair = twins.first_nodes[twin_pair_index]
-    second_node_of_pair = twins.second_nodes[twin_pair_index]
-    links_in_same_order = twins.connectivity[first_node_of_pair][:, first_node_of_pair].multiply(
-        twins.connectivity[second_node_of_pair][:, second_node_of_pair]
+    first_node_of_pair = twins.first_nodes[twin_index_of_contact_pair]
+    second_node_of_pair = twins.second_nodes[twin_index_of_contact_pair]
+    links_of_first_with_first_nodes = twins.are_nodes_linked_by_stiffness[first_node_of_pair][
+        :, first_node_of_pair
+    ].multiply(twins.are_nodes_linked_by_stiffness[second_node_of_pair][:, second_node_of_pair])
+    links_between_pairs = links_of_first_with_first_nodes + twins.are_nodes_linked_by_stiffness[
+        first_node_of_pair
+    ][:, second_node_of_pair].multiply(
+        twins.are_nodes_linked_by_stiffness[second_node_of_pair][:, first_node_of_pair]
     )
-    pair_links = links_in_same_order + twins.connectivity[first_node_of_pair][
-        :, second_node_of_pair
-    ].multiply(twins.connectivity[second_node_of_pair][:, first_node_of_pair])
-    n_cracks, unsorted_crack_of_pair = connected_components(pair_links)
-    x, y, z = np.transpose(
+    n_cracks, unsorted_crack_of_pair = connected_components(links_between_pairs)
+    crack_centre_x, crack_centre_y, crack_centre_z = np.transpose(
         [
             twins.points[first_node_of_pair[unsorted_crack_of_pair == unsorted_crack]].mean(axis=0)
             for unsorted_crack in range(n_cracks)
         ]
     )
-    sorted_crack_number = np.lexsort((z, x, y)).argsort()
+    sorted_crack_number = np.lexsort((crack_centre_z, crack_centre_x, crack_centre_y)).argsort()
     return np.asarray(sorted_crack_number[unsorted_crack_of_pair])
 
 
@@ -236,68 +248,71 @@ The nodes are k corners, then the middle nodes of k edges, or -1 for cells of or
 """
 
 
-def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
+def _crack_face_facets(model: ModelFileMesh, twins: _TwinNodes) -> list[Facets]:
     """Return the facets on crack faces: triangles, then quadrilaterals; empty without any.
 
     A facet is on a crack face if a single cell has the facet, exactly one facet of another cell
     coincides, and a corner is in a pair of ``twins``. A facet is left out if a node coincides with
     another node and only one of both has dofs.
     """
-    facet_sets = []
+    facets_of_each_shape = []
     for n_facet_corners in (3, 4):
         facets_and_centres_of_kinds = [
             _cell_facets_and_cell_centres(
-                model.points, cells, N_CORNERS_BY_VTK_TYPE[vtk_type], local_facets
+                model.points, cells, N_CORNERS_BY_VTK_TYPE[vtk_type], facet_corner_columns
             )
             for vtk_type, cells in model.cells_by_vtk_type.items()
-            for local_facets in FACETS_BY_CORNER_COUNT[N_CORNERS_BY_VTK_TYPE[vtk_type]]
-            if local_facets.shape[1] == n_facet_corners
+            for facet_corner_columns in FACETS_BY_CORNER_COUNT[N_CORNERS_BY_VTK_TYPE[vtk_type]]
+            if facet_corner_columns.shape[1] == n_facet_corners
         ]
         if not facets_and_centres_of_kinds:
             continue
         facet_nodes, cell_centres = (
-            np.concatenate(same_field_arrays)
-            for same_field_arrays in zip(*facets_and_centres_of_kinds, strict=True)
+            np.concatenate(arrays_of_all_cell_kinds)
+            for arrays_of_all_cell_kinds in zip(*facets_and_centres_of_kinds, strict=True)
         )
         is_boundary = count_equal_rows(facet_nodes[:, :n_facet_corners]) == 1
         is_on_crack = is_boundary.copy()
         is_on_crack[is_boundary] = (
-            count_equal_rows(twins.place_numbers[facet_nodes[is_boundary, :n_facet_corners]]) == 2
+            count_equal_rows(
+                twins.coincident_group_number_of_node[facet_nodes[is_boundary, :n_facet_corners]]
+            )
+            == 2
         )
         is_on_crack &= np.any(twins.pair_index[facet_nodes[:, :n_facet_corners]] >= 0, axis=1)
         is_on_crack &= ~np.any(twins.is_in_half_held_pair[facet_nodes] & (facet_nodes >= 0), axis=1)
         if np.any(is_on_crack):
-            facet_sets.append((facet_nodes[is_on_crack], cell_centres[is_on_crack]))
-    return facet_sets
+            facets_of_each_shape.append((facet_nodes[is_on_crack], cell_centres[is_on_crack]))
+    return facets_of_each_shape
 
 
 def _cell_facets_and_cell_centres(
-    points: np.ndarray, cells: np.ndarray, n_corners: int, local_facets: np.ndarray
+    points: np.ndarray, cells: np.ndarray, n_corners: int, facet_corner_columns: np.ndarray
 ) -> Facets:
     """Return the facets of all cells of the same kind, with the cells' centres.
 
     ``points`` (n_nodes, 3) [m] are node positions. ``cells`` (n, k) are nodes, ``n_corners``
-    corners first. ``local_facets`` (m, n_facet_corners) are the columns of each facet's corners in
-    ``cells``.
+    corners first. ``facet_corner_columns`` (m, n_facet_corners) are the columns of each facet's
+    corners in ``cells``.
 
     The first result has a row for each facet (n m, 2 n_facet_corners): corners, then middle nodes,
     or -1 in cells without. The second result is the centre (n m, 3) [m] of each facet's cell.
     """
-    n_facet_corners = local_facets.shape[1]
+    n_facet_corners = facet_corner_columns.shape[1]
     middle_column_by_edge = {
         frozenset(edge): n_corners + edge_index
         for edge_index, edge in enumerate(CELL_EDGES_BY_CORNER_COUNT[n_corners])
     }
-    edge_ends = np.stack([local_facets, np.roll(local_facets, -1, axis=1)], axis=2)
+    edge_ends = np.stack([facet_corner_columns, np.roll(facet_corner_columns, -1, axis=1)], axis=2)
     facet_middle_columns = np.array(
         [[middle_column_by_edge[frozenset(edge)] for edge in facet] for facet in edge_ends.tolist()]
     )
-    facet_nodes = np.full((len(cells), len(local_facets), 2 * n_facet_corners), -1)
-    facet_nodes[..., :n_facet_corners] = cells[:, local_facets]
+    facet_nodes = np.full((len(cells), len(facet_corner_columns), 2 * n_facet_corners), -1)
+    facet_nodes[..., :n_facet_corners] = cells[:, facet_corner_columns]
     if cells.shape[1] > n_corners:
         facet_nodes[..., n_facet_corners:] = cells[:, facet_middle_columns]
     cell_centres_of_facets = np.repeat(
-        points[cells[:, :n_corners]].mean(axis=1), len(local_facets), axis=0
+        points[cells[:, :n_corners]].mean(axis=1), len(facet_corner_columns), axis=0
     )
     return facet_nodes.reshape(-1, 2 * n_facet_corners), cell_centres_of_facets
 
@@ -372,56 +387,87 @@ def _assemble_patch_gap_matrix(
     corner_nodes = [nodes[:, : nodes.shape[1] // 2] for nodes, _ in facets]
     all_face_nodes = np.unique(np.concatenate([nodes.ravel() for nodes in corner_nodes]))
     front_nodes = all_face_nodes[twins.pair_index[all_face_nodes] < 0]
-    patch_index = twins.pair_index.copy()
+    patch_index_of_node = twins.pair_index.copy()
     # Patches of front nodes go to their neighbours.
-    patch_index[front_nodes] = n_pairs + np.arange(len(front_nodes))
+    patch_index_of_node[front_nodes] = n_pairs + np.arange(len(front_nodes))
     areas = np.zeros(n_pairs + len(front_nodes))
     gap = sparse.csr_matrix((twins.n_dofs, len(areas)))
     overlap_matrix = sparse.csr_matrix((len(areas), len(areas)))
     for nodes, cell_centres in facets:
         n_corners = nodes.shape[1] // 2
-        (linear, edge_functions), pressure_basis, slopes = _facet_basis(n_corners)
+        (weighted_linear_functions, edge_functions), pressure_basis, basis_function_slopes = (
+            _facet_basis(n_corners)
+        )
         corner_points = twins.points[nodes[:, :n_corners]]
-        position_slope_1, position_slope_2 = np.einsum("akq,fkx->afqx", slopes, corner_points)
-        area_normals = np.cross(position_slope_1, position_slope_2)
+        position_derivative_1, position_derivative_2 = np.einsum(
+            "akq,fkx->afqx", basis_function_slopes, corner_points
+        )
+        area_normals = np.cross(position_derivative_1, position_derivative_2)
         is_inward = (
             np.einsum("fqx,fx->f", area_normals, corner_points.mean(axis=1) - cell_centres) < 0.0
         )
         area_normals[is_inward] *= -1.0
         surface_jacobians = np.linalg.norm(area_normals, axis=2)
-        corner_patches = patch_index[nodes[:, :n_corners]]
-        np.add.at(areas, corner_patches, 0.5 * np.einsum("kq,fq->fk", linear, surface_jacobians))
-        integrals = np.einsum("iq,jq,fq->fij", pressure_basis, linear, surface_jacobians)
-        patch_pairs = np.broadcast_arrays(corner_patches[:, :, None], corner_patches[:, None])
+        patch_index_of_facet_corner = patch_index_of_node[nodes[:, :n_corners]]
+        np.add.at(
+            areas,
+            patch_index_of_facet_corner,
+            0.5 * np.einsum("kq,fq->fk", weighted_linear_functions, surface_jacobians),
+        )
+        integrals = np.einsum(
+            "iq,jq,fq->fij", pressure_basis, weighted_linear_functions, surface_jacobians
+        )
+        row_and_column_patch_indices = np.broadcast_arrays(
+            patch_index_of_facet_corner[:, :, None], patch_index_of_facet_corner[:, None]
+        )
         overlap_matrix += sparse.csr_matrix(
-            (integrals.ravel(), [patches.ravel() for patches in patch_pairs]), overlap_matrix.shape
+            (
+                integrals.ravel(),
+                [patch_indices.ravel() for patch_indices in row_and_column_patch_indices],
+            ),
+            overlap_matrix.shape,
         )
         # A quadratic corner function is the linear one less half of its two edge functions.
-        half_edge_functions = 0.5 * (edge_functions + np.roll(edge_functions, 1, axis=0))
+        half_sum_of_edge_functions_at_corner = 0.5 * (
+            edge_functions + np.roll(edge_functions, 1, axis=0)
+        )
         is_quadratic = np.all(nodes[:, n_corners:] >= 0, axis=1)[:, None, None]
-        corner_integrals = np.einsum("iq,jq,fqx->fijx", pressure_basis, linear, area_normals)
+        corner_integrals = np.einsum(
+            "iq,jq,fqx->fijx", pressure_basis, weighted_linear_functions, area_normals
+        )
         corner_integrals -= (
-            np.einsum("iq,jq,fqx->fijx", pressure_basis, half_edge_functions, area_normals)
+            np.einsum(
+                "iq,jq,fqx->fijx",
+                pressure_basis,
+                half_sum_of_edge_functions_at_corner,
+                area_normals,
+            )
             * is_quadratic[..., None]
         )
-        edge_integrals = (
+        edge_function_integrals_over_facet = (
             np.einsum("iq,jq,fqx->fijx", pressure_basis, edge_functions, area_normals)
             * is_quadratic[..., None]
         )
         # Axes: facet, pressure, node, direction.
-        integrals = np.concatenate([corner_integrals, edge_integrals], axis=2)
+        integrals = np.concatenate([corner_integrals, edge_function_integrals_over_facet], axis=2)
         rows = np.broadcast_to(twins.dofs[nodes][:, None], integrals.shape)
-        patch_columns = np.broadcast_to(corner_patches[:, :, None, None], integrals.shape)
+        patch_columns = np.broadcast_to(
+            patch_index_of_facet_corner[:, :, None, None], integrals.shape
+        )
         is_kept_entry = (rows >= 0) & (integrals != 0.0)
         gap += sparse.csr_matrix(
             (integrals[is_kept_entry], (rows[is_kept_entry], patch_columns[is_kept_entry])),
             gap.shape,
         )
-    front_shares = make_matrix_extending_pressures_to_front(overlap_matrix[n_pairs:, :n_pairs])
-    areas = front_shares.T @ areas
-    twin_pair_index = np.flatnonzero(areas)
-    gap = (gap @ front_shares)[:, twin_pair_index] @ sparse.diags(1.0 / areas[twin_pair_index])
-    return gap.tocsr(), areas[twin_pair_index], twin_pair_index, front_nodes
+    pressure_extension_to_front_matrix = make_matrix_extending_pressures_to_front(
+        overlap_matrix[n_pairs:, :n_pairs]
+    )
+    areas = pressure_extension_to_front_matrix.T @ areas
+    twin_index_of_contact_pair = np.flatnonzero(areas)
+    gap = (gap @ pressure_extension_to_front_matrix)[:, twin_index_of_contact_pair] @ sparse.diags(
+        1.0 / areas[twin_index_of_contact_pair]
+    )
+    return gap.tocsr(), areas[twin_index_of_contact_pair], twin_index_of_contact_pair, front_nodes
 
 
 # --- of nodes -------------------------------------------------------------------------------------
@@ -446,18 +492,25 @@ def _assemble_normal_gap_matrix(
     front_nodes: list[np.ndarray] = []
     model_extent = float(np.ptp(model_points, axis=0).max())
     for pair_column, (a, b) in enumerate(zip(twins.first_nodes, twins.second_nodes, strict=True)):
-        linked_nodes_of_both = [twins.connectivity[pair_node].indices for pair_node in (a, b)]
+        linked_nodes_of_both = [
+            twins.are_nodes_linked_by_stiffness[pair_node].indices for pair_node in (a, b)
+        ]
         front_nodes.append(np.intersect1d(*linked_nodes_of_both))
         nearby_crack_nodes = np.unique(np.concatenate(linked_nodes_of_both))
         nearby_crack_nodes = np.append(
             nearby_crack_nodes[twins.pair_index[nearby_crack_nodes] >= 0], front_nodes[-1]
         )
-        if len(np.unique(twins.place_numbers[nearby_crack_nodes])) <= crack_dimension:
+        if (
+            len(np.unique(twins.coincident_group_number_of_node[nearby_crack_nodes]))
+            <= crack_dimension
+        ):
             nearby_crack_nodes = twins.first_nodes
-        centred_points = model_points[nearby_crack_nodes] - model_points[nearby_crack_nodes].mean(
-            axis=0
-        )
-        tangents = np.linalg.svd(centred_points, full_matrices=False)[2][:crack_dimension]
+        nearby_points_about_their_centre = model_points[nearby_crack_nodes] - model_points[
+            nearby_crack_nodes
+        ].mean(axis=0)
+        tangents = np.linalg.svd(nearby_points_about_their_centre, full_matrices=False)[2][
+            :crack_dimension
+        ]
         pair_normal = model_points[linked_nodes_of_both[1]].mean(axis=0) - model_points[
             linked_nodes_of_both[0]
         ].mean(axis=0)

@@ -135,13 +135,15 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
     check_cells(kind, cells, mesh_positions)
     crack_names = [name for name in facets_by_name if CRACK_NAME_PATTERN.match(name)]
     if dimension == 3:
-        _check_inner_surfaces(cells, facets_by_name, crack_names)
+        _check_inner_surfaces_are_cracks(cells, facets_by_name, crack_names)
     if crack_names:
         crack_facets = np.concatenate([facets_by_name.pop(name) for name in crack_names])
-        kept_nodes, merged_node_map = merge_crack_nodes(crack_facets, mesh_positions)
-        merged_cells = replace(cells, cell_nodes=merged_node_map[cells.cell_nodes])
+        nodes_kept_by_merge, merged_node_map = merge_crack_nodes(crack_facets, mesh_positions)
+        cells_with_merged_nodes = replace(cells, cell_nodes=merged_node_map[cells.cell_nodes])
         split_cell_nodes, copied_nodes, face_facet_pairs = split_cracks(
-            merged_cells, merged_node_map[crack_facets], mesh_positions[kept_nodes]
+            cells_with_merged_nodes,
+            merged_node_map[crack_facets],
+            mesh_positions[nodes_kept_by_merge],
         )
         facets_by_name = _renumber_facets_after_split(
             facets_by_name, cells, split_cell_nodes, merged_node_map
@@ -155,10 +157,12 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
         point_groups = [
             (*group_head, merged_node_map[group_nodes]) for *group_head, group_nodes in point_groups
         ]
-        positions = positions[np.concatenate([kept_nodes, kept_nodes[copied_nodes]])]
+        positions = positions[
+            np.concatenate([nodes_kept_by_merge, nodes_kept_by_merge[copied_nodes]])
+        ]
         cells = replace(cells, cell_nodes=split_cell_nodes)
         mesh_positions = positions[:, :dimension]
-    face_corners = [
+    crack_face_facet_corners = [
         facets_by_name[name][:, : cells.facet_corner_columns.shape[1]]
         for name in CRACK_FACE_NAMES
         if name in facets_by_name
@@ -166,17 +170,21 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
     requirement = (
         "a mesh with both 'lower_lip' and 'upper_lip', or with 'crack', or without a crack"
     )
-    check_mesh(len(face_corners) != 1, "one lip", requirement)
+    check_mesh(len(crack_face_facet_corners) != 1, "one lip", requirement)
     crack_paths_or_surfaces: Cracks = ()
-    if face_corners and dimension == 2:
-        crack_paths_or_surfaces = find_crack_paths(face_corners[0], face_corners[1], mesh_positions)
-        _check_mouths_are_open(cells, mesh_positions, face_corners)
-    elif face_corners:
-        crack_paths_or_surfaces = find_crack_surfaces(
-            face_corners[0], face_corners[1], mesh_positions
+    if crack_face_facet_corners and dimension == 2:
+        crack_paths_or_surfaces = find_crack_paths(
+            crack_face_facet_corners[0], crack_face_facet_corners[1], mesh_positions
         )
-    check_parts_are_clamped(cells, mesh_positions, facets_by_name["clamp"], face_corners)
-    check_parts_do_not_overlap(kind, cells, mesh_positions, face_corners)
+        _check_mouths_are_open(cells, mesh_positions, crack_face_facet_corners)
+    elif crack_face_facet_corners:
+        crack_paths_or_surfaces = find_crack_surfaces(
+            crack_face_facet_corners[0], crack_face_facet_corners[1], mesh_positions
+        )
+    check_parts_are_clamped(
+        cells, mesh_positions, facets_by_name["clamp"], crack_face_facet_corners
+    )
+    check_parts_do_not_overlap(kind, cells, mesh_positions, crack_face_facet_corners)
     tags_by_name, facet_groups = _tag_name_combinations(facets_by_name)
     cell_and_facet_groups = [
         (dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.cell_nodes)
@@ -236,7 +244,7 @@ def check_file_exists(key: str, path: Path | str) -> None:
 
 
 def unpack_groups(contents: dict[str, np.ndarray]) -> list[Group]:
-    """Convert arrays of :func:`~fenics_crack.fem.solid_mesher.collect_groups` to groups.
+    """Convert arrays of :func:`~fenics_crack.fem.solid_mesher.collect_nodes_and_groups` to groups.
 
     A result is (dimension, tag, name, gmsh's kind of elements, node numbers). gmsh's group with
     several kinds of elements or several entities gives several results.
@@ -273,7 +281,7 @@ def _select_cells(
         Groups of named points.
     """
     node_numbers, positions, groups = raw_mesh
-    cells_requirement, facet_name = _CELL_REQUIREMENT_AND_FACET_WORD_BY_DIMENSION[dimension]
+    cells_requirement, facet_group_word = _CELL_REQUIREMENT_AND_FACET_WORD_BY_DIMENSION[dimension]
     if dimension == 2:
         is_flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
         check_mesh(is_flat, "no plane mesh", "a plane mesh, with the same z at every node")
@@ -292,7 +300,7 @@ def _select_cells(
         f"a mesh whose physical {cells_requirement}",
     )
     kind = cell_kinds.pop()
-    node_numbers, first_number_index = np.unique(node_numbers, return_index=True)
+    node_numbers, file_index_of_node_number = np.unique(node_numbers, return_index=True)
     cell_node_numbers = np.concatenate(
         [nodes for group_dimension, *_, nodes in groups if group_dimension == dimension]
     )
@@ -304,8 +312,10 @@ def _select_cells(
     )
     nodes = cell_node_index.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
     nodes = nodes[np.sort(find_unique_rows(nodes)[0])]
-    sorted_nodes = np.sort(nodes, axis=1)
-    has_repeated_node = np.any(sorted_nodes[:, 1:] == sorted_nodes[:, :-1])
+    nodes_sorted_within_cells = np.sort(nodes, axis=1)
+    has_repeated_node = np.any(
+        nodes_sorted_within_cells[:, 1:] == nodes_sorted_within_cells[:, :-1]
+    )
     check_mesh(
         not has_repeated_node,
         "a cell with a node twice",
@@ -317,13 +327,15 @@ def _select_cells(
         used_numbers,
     )
     facet_names_text = (
-        f"{facet_name}s named {', '.join(map(repr, facets_by_name))}"
+        f"{facet_group_word}s named {', '.join(map(repr, facets_by_name))}"
         if facets_by_name
-        else f"no {facet_name} has a name"
+        else f"no {facet_group_word} has a name"
     )
-    requirement = f"a mesh with a physical {facet_name} named 'clamp'"
+    requirement = f"a mesh with a physical {facet_group_word} named 'clamp'"
     check_mesh("clamp" in facets_by_name, f"no clamp; {facet_names_text}", requirement)
-    used_positions = positions[first_number_index][np.searchsorted(node_numbers, used_numbers)]
+    used_positions = positions[file_index_of_node_number][
+        np.searchsorted(node_numbers, used_numbers)
+    ]
     return kind, make_cells_of_kind(kind, nodes), used_positions, facets_by_name, point_groups
 
 
@@ -353,19 +365,20 @@ def _select_named_groups(
     row_lists_by_group: dict[tuple[int, str], list[np.ndarray]] = {}
     for dimension, _, name, kind, nodes in groups:
         if name and dimension in kind_by_dimension:
-            is_right_kind = (
+            has_allowed_elements = (
                 kind == kind_by_dimension[dimension] and np.isin(nodes, used_numbers).all()
             )
             requirement = (
                 "a mesh whose named groups have only cells, their facets and corners; remove the "
                 "name of this group in gmsh"
             )
-            check_mesh(is_right_kind, f"other elements in the group {name!r}", requirement)
+            check_mesh(has_allowed_elements, f"other elements in the group {name!r}", requirement)
             n_nodes_per_element = gmsh.model.mesh.getElementProperties(kind)[3]
             rows = np.searchsorted(used_numbers, nodes).reshape(-1, n_nodes_per_element)
             row_lists_by_group.setdefault((dimension, name), []).append(rows)
     rows_by_group = {
-        group_key: np.concatenate(rows) for group_key, rows in row_lists_by_group.items()
+        dimension_and_name: np.concatenate(rows)
+        for dimension_and_name, rows in row_lists_by_group.items()
     }
     n_load_points = len(rows_by_group.get((0, "load"), [0]))
     check_mesh(n_load_points == 1, f"{n_load_points} points in the group 'load'", "a mesh with one")
@@ -382,7 +395,7 @@ def _select_named_groups(
 def make_cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
     """Make :class:`Cells` from nodes (n_cells, k) and gmsh's number for the kind of cells."""
     _, dimension, *_, n_corners = gmsh.model.mesh.getElementProperties(kind)
-    is_supporting_corner = (
+    is_corner_function_nonzero_at_node = (
         _evaluate_basis_functions(
             _LINEAR_KIND_BY_SHAPE[dimension, n_corners], _reference_node_positions(kind)
         )
@@ -394,7 +407,7 @@ def make_cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
         if dimension == 3
         else np.column_stack([corner_indices, np.roll(corner_indices, -1)])
     )
-    return Cells(nodes, facets, is_supporting_corner)
+    return Cells(nodes, facets, is_corner_function_nonzero_at_node)
 
 
 def _renumber_facets_after_split(
@@ -480,19 +493,21 @@ def _tag_name_combinations(
     edge_curve_index = np.repeat(
         np.arange(len(edges_by_name)), [len(curve_edges) for curve_edges in edges_by_name.values()]
     )
-    first_edge_index, unique_index, _ = find_unique_rows(all_edges)
-    is_on_curve = np.zeros((len(first_edge_index), len(edges_by_name)), dtype=bool)
-    is_on_curve[unique_index, edge_curve_index] = True
+    first_index_of_unique_edge, unique_edge_index_of_edge, _ = find_unique_rows(all_edges)
+    is_on_curve = np.zeros((len(first_index_of_unique_edge), len(edges_by_name)), dtype=bool)
+    is_on_curve[unique_edge_index_of_edge, edge_curve_index] = True
     combinations, combination_index = np.unique(is_on_curve, axis=0, return_inverse=True)
     tagged_edges, curve_names = [], np.array(list(edges_by_name))
     for index, combination in enumerate(combinations):
-        combination_edges = all_edges[np.sort(first_edge_index[combination_index.ravel() == index])]
+        combination_edges = all_edges[
+            np.sort(first_index_of_unique_edge[combination_index.ravel() == index])
+        ]
         tagged_edges.append((index + 1, " and ".join(curve_names[combination]), combination_edges))
-    curve_tags = [
+    combination_tags_of_curves = [
         tuple((np.flatnonzero(is_combination_on_curve) + 1).tolist())
         for is_combination_on_curve in combinations.T
     ]
-    return dict(zip(edges_by_name, curve_tags, strict=True)), tagged_edges
+    return dict(zip(edges_by_name, combination_tags_of_curves, strict=True)), tagged_edges
 
 
 def _fill_gmsh_model(positions: np.ndarray, groups: list[Group]) -> None:
@@ -552,7 +567,10 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
     )[..., :dimension]
     # Jacobian determinants at the nodes of each cell [m^d].
     determinants = np.array(
-        [np.linalg.det(cell_positions.swapaxes(1, 2) @ gradient) for gradient in gradients]
+        [
+            np.linalg.det(cell_positions.swapaxes(1, 2) @ basis_gradients_at_node)
+            for basis_gradients_at_node in gradients
+        ]
     )
     min_determinants = determinants.min(axis=0)
     max_determinants = determinants.max(axis=0)
@@ -576,11 +594,14 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
     sorted_facets, owner, _ = cells.sorted_facets_and_owners
     facet_corner_positions = positions[sorted_facets]
     cell_centres = cell_positions[:, : cells.n_corners].mean(axis=1)
-    corner_vectors = (
+    vectors_from_first_facet_corner = (
         np.append(facet_corner_positions[:, 1:dimension], cell_centres[owner, None], axis=1)
         - facet_corner_positions[:, :1]
     )
-    side_signs, is_shared = np.sign(np.linalg.det(corner_vectors)), cells.is_shared
+    side_signs, is_shared = (
+        np.sign(np.linalg.det(vectors_from_first_facet_corner)),
+        cells.is_facet_equal_to_next,
+    )
     _check_none(
         is_shared[1:] & is_shared[:-1],
         f"{facet_word} of three cells",
@@ -595,7 +616,7 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
     )
 
 
-def _check_inner_surfaces(
+def _check_inner_surfaces_are_cracks(
     cells: Cells, facets_by_name: dict[str, np.ndarray], crack_names: list[str]
 ) -> None:
     """Raise InputError if a named surface inside the solid is neither crack nor clamp.
@@ -604,7 +625,7 @@ def _check_inner_surfaces(
     ``facets_by_name`` has nodes of facets (m, k) by name, ``crack_names`` the names of cracks.
     """
     sorted_facets, _, _ = cells.sorted_facets_and_owners
-    shared_facets = sorted_facets[1:][cells.is_shared]
+    shared_facets = sorted_facets[1:][cells.is_facet_equal_to_next]
     n_corners = sorted_facets.shape[1]
     corners_by_name = {
         name: np.sort(facet_rows[:, :n_corners], axis=1)
@@ -654,7 +675,8 @@ def check_parts_are_clamped(
     is_loose_cell = ~is_in_part_with(clamped_nodes)
     if np.any(is_loose_cell):
         is_held_by_contact = any(
-            np.any(is_in_part_with(face) & is_loose_cell) for face in face_facets
+            np.any(is_in_part_with(crack_face_nodes) & is_loose_cell)
+            for crack_face_nodes in face_facets
         )
         problem = "a part held by contact alone" if is_held_by_contact else "a part without a clamp"
         requirement = (
@@ -688,15 +710,20 @@ def check_parts_do_not_overlap(
     """
     from scipy.spatial import cKDTree
 
-    boundary_facets, owner, local_corners = (
+    boundary_facets, owner, corner_indices_in_cell = (
         rows[cells.is_boundary_facet] for rows in cells.sorted_facets_and_owners
     )
-    is_outer = ~are_rows_in(boundary_facets, np.concatenate([*face_facets, boundary_facets[:0]]))
-    owner, local_corners = owner[is_outer], local_corners[is_outer]
-    reference_corners = _reference_node_positions(kind)[local_corners]
-    reference_centre = reference_corners.mean(axis=1, keepdims=True)
+    is_not_on_crack_face = ~are_rows_in(
+        boundary_facets, np.concatenate([*face_facets, boundary_facets[:0]])
+    )
+    owner, corner_indices_in_cell = (
+        owner[is_not_on_crack_face],
+        corner_indices_in_cell[is_not_on_crack_face],
+    )
+    reference_facet_corners = _reference_node_positions(kind)[corner_indices_in_cell]
+    reference_facet_centre = reference_facet_corners.mean(axis=1, keepdims=True)
     reference_points = np.concatenate(
-        [reference_centre, 0.5 * (reference_centre + reference_corners)], axis=1
+        [reference_facet_centre, 0.5 * (reference_facet_centre + reference_facet_corners)], axis=1
     )
     owner = np.repeat(owner, reference_points.shape[1])
     basis_values = _evaluate_basis_functions(kind, reference_points.reshape(-1, 3))
@@ -711,9 +738,9 @@ def check_parts_do_not_overlap(
         [len(near_point_list) for near_point_list in near_point_lists],
     )
     near_point_index = np.concatenate(near_point_lists).astype(int)
-    is_other_cell = owner[near_point_index] != near_cell_index
-    near_cell_index = near_cell_index[is_other_cell]
-    near_point_index = near_point_index[is_other_cell]
+    is_not_owner_cell = owner[near_point_index] != near_cell_index
+    near_cell_index = near_cell_index[is_not_owner_cell]
+    near_point_index = near_point_index[is_not_owner_cell]
     near_points = points[near_point_index]
     _check_none(
         _are_in_cells(kind, cells.n_corners, cell_positions[near_cell_index], near_points),
@@ -734,19 +761,26 @@ def _are_in_cells(
     ``kind`` is gmsh's kind of the cells. The tolerance is 1e-6 of the cell's size.
     """
     dimension = points.shape[1]
-    linear_values = _evaluate_basis_functions(
+    linear_functions_at_nodes = _evaluate_basis_functions(
         _LINEAR_KIND_BY_SHAPE[dimension, n_corners], _reference_node_positions(kind)
     )
     curvature_offsets = cell_positions - np.einsum(
-        "nc,icx->inx", linear_values, cell_positions[:, :n_corners]
+        "nc,icx->inx", linear_functions_at_nodes, cell_positions[:, :n_corners]
     )
-    lower_bounds, upper_bounds = cell_positions.min(axis=1), cell_positions.max(axis=1)
-    cell_sizes = (upper_bounds - lower_bounds).max(axis=1)
+    bounding_box_minima, bounding_box_maxima = (
+        cell_positions.min(axis=1),
+        cell_positions.max(axis=1),
+    )
+    cell_sizes = (bounding_box_maxima - bounding_box_minima).max(axis=1)
     # Lebesgue's constant of cells of order 2 is at most 1.63^2.
-    margin = (
+    bounding_box_margin = (
         RELATIVE_POSITION_TOLERANCE * cell_sizes + 3.0 * np.abs(curvature_offsets).max(axis=(1, 2))
     )[:, None]
-    is_inside = np.all((points > lower_bounds - margin) & (points < upper_bounds + margin), axis=1)
+    is_inside = np.all(
+        (points > bounding_box_minima - bounding_box_margin)
+        & (points < bounding_box_maxima + bounding_box_margin),
+        axis=1,
+    )
     if not np.any(is_inside):
         return is_inside
     cell_positions = cell_positions[is_inside]
@@ -756,29 +790,35 @@ def _are_in_cells(
         _reference_node_positions(kind)[:n_corners].mean(axis=0), (len(points), 1)
     )
     # Newton's method: exact in one step for straight cells.
-    active_points = np.arange(len(reference_points))
+    unconverged_point_indices = np.arange(len(reference_points))
     for _ in range(8):
-        residuals = points[active_points] - np.einsum(
+        residuals = points[unconverged_point_indices] - np.einsum(
             "in,inx->ix",
-            _evaluate_basis_functions(kind, reference_points[active_points]),
-            cell_positions[active_points],
+            _evaluate_basis_functions(kind, reference_points[unconverged_point_indices]),
+            cell_positions[unconverged_point_indices],
         )
         is_unconverged = (
-            np.abs(residuals).max(axis=1) > MIN_RELATIVE_DETERMINANT * cell_sizes[active_points]
+            np.abs(residuals).max(axis=1)
+            > MIN_RELATIVE_DETERMINANT * cell_sizes[unconverged_point_indices]
         )
-        active_points, residuals = active_points[is_unconverged], residuals[is_unconverged]
-        if not len(active_points):
+        unconverged_point_indices, residuals = (
+            unconverged_point_indices[is_unconverged],
+            residuals[is_unconverged],
+        )
+        if not len(unconverged_point_indices):
             break
         gradients = _evaluate_basis_functions(
-            kind, reference_points[active_points], "GradLagrange"
-        ).reshape(len(active_points), -1, 3)
+            kind, reference_points[unconverged_point_indices], "GradLagrange"
+        ).reshape(len(unconverged_point_indices), -1, 3)
         jacobians = np.einsum(
-            "inx,inr->ixr", cell_positions[active_points], gradients[..., :dimension]
+            "inx,inr->ixr", cell_positions[unconverged_point_indices], gradients[..., :dimension]
         )
-        reference_points[active_points, :dimension] += np.einsum(
+        reference_points[unconverged_point_indices, :dimension] += np.einsum(
             "irx,ix->ir", np.linalg.pinv(jacobians), residuals
         )
-        reference_points[active_points] = np.clip(reference_points[active_points], -2.0, 2.0)
+        reference_points[unconverged_point_indices] = np.clip(
+            reference_points[unconverged_point_indices], -2.0, 2.0
+        )
     residuals = points - np.einsum(
         "in,inx->ix", _evaluate_basis_functions(kind, reference_points), cell_positions
     )

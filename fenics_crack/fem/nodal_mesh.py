@@ -92,7 +92,7 @@ class NodalMesh:
         return self.cells[:, _TRIANGLES_BY_NODE_COUNT[self.cells.shape[1]]].reshape(-1, 3)
 
     @cached_property
-    def pair_centre_and_pressure_matrices(self) -> tuple[np.ndarray, np.ndarray]:
+    def pair_centres_and_pressures_at_nodes(self) -> tuple[np.ndarray, np.ndarray]:
         """Return patch centres and pressure functions of a solid's contact pairs, at nodes.
 
         A pressure function distributes a pair's contact force over the crack faces, as a pressure.
@@ -112,21 +112,28 @@ class NodalMesh:
         points, tolerance, structure_pairs = self.points, 1e-6 * self.size, self.structure.pairs
         corners = np.unique(crack_facets := self.crack_face_sides)
         corner_points = points[corners]
-        distances, nearest_pair_index = cKDTree(self.structure.pair_points).query(corner_points)
-        has_twin = (
+        distances_to_nearest_pair_or_edge, nearest_pair_of_corner_node = cKDTree(
+            self.structure.pair_points
+        ).query(corner_points)
+        has_corner_node_a_twin = (
             cKDTree(corner_points).query_ball_point(corner_points, tolerance, return_length=True)
             > 1
         )
-        centre_matrix, nodal_pressure_matrix = np.zeros((2, len(points), self.structure.n_pairs))
-        centre_matrix[
-            corners[distances <= tolerance], nearest_pair_index[distances <= tolerance]
+        is_pair_centre_node_matrix, nodal_pressure_matrix = np.zeros(
+            (2, len(points), self.structure.n_pairs)
+        )
+        is_pair_centre_node_matrix[
+            corners[distances_to_nearest_pair_or_edge <= tolerance],
+            nearest_pair_of_corner_node[distances_to_nearest_pair_or_edge <= tolerance],
         ] = 1.0
         if structure_pairs.nodes is not None and structure_pairs.pressure_matrix is not None:
             nodal_pressure_matrix[corners] = structure_pairs.pressure_matrix[
                 cKDTree(structure_pairs.nodes).query(corner_points)[1]
             ].toarray()
         else:
-            nodal_pressure_matrix[corners[has_twin], nearest_pair_index[has_twin]] = 1.0
+            nodal_pressure_matrix[
+                corners[has_corner_node_a_twin], nearest_pair_of_corner_node[has_corner_node_a_twin]
+            ] = 1.0
         edge_end_nodes = np.stack(
             [crack_facets, np.roll(crack_facets, -1, axis=1)], axis=2
         ).reshape(-1, 2)
@@ -136,14 +143,14 @@ class NodalMesh:
             else edge_end_nodes
         )
         non_corner_nodes = np.setdiff1d(np.arange(len(points)), corners)
-        distances, nearest_edge_index = cKDTree(points[edge_end_nodes].mean(axis=1)).query(
-            points[non_corner_nodes]
-        )
-        is_on_edge = distances <= tolerance
+        distances_to_nearest_pair_or_edge, nearest_edge_of_non_corner_node = cKDTree(
+            points[edge_end_nodes].mean(axis=1)
+        ).query(points[non_corner_nodes])
+        is_on_edge = distances_to_nearest_pair_or_edge <= tolerance
         nodal_pressure_matrix[non_corner_nodes[is_on_edge]] = nodal_pressure_matrix[
-            edge_end_nodes[nearest_edge_index[is_on_edge]]
+            edge_end_nodes[nearest_edge_of_non_corner_node[is_on_edge]]
         ].mean(axis=1)
-        return centre_matrix, nodal_pressure_matrix
+        return is_pair_centre_node_matrix, nodal_pressure_matrix
 
     @cached_property
     def _all_cell_sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -169,14 +176,14 @@ class NodalMesh:
         if self.dimension == 3:
             local_sides = FACET_CORNERS_BY_CORNER_COUNT[4 if n_nodes_per_cell in (4, 10) else 8]
         sides = self.cells[:, local_sides].reshape(-1, local_sides.shape[1])
-        first_sides, _, cell_counts = find_unique_rows(
+        first_index_of_unique_side, _, n_cells_at_side = find_unique_rows(
             sides if self.dimension == 3 else sides[:, [0, -1]]
         )
-        side_order = np.argsort(first_sides)
+        order_of_first_occurrences = np.argsort(first_index_of_unique_side)
         return (
-            sides[first_sides[side_order]],
-            cell_counts[side_order],
-            first_sides[side_order] // len(local_sides),
+            sides[first_index_of_unique_side[order_of_first_occurrences]],
+            n_cells_at_side[order_of_first_occurrences],
+            first_index_of_unique_side[order_of_first_occurrences] // len(local_sides),
         )
 
     @property
@@ -194,16 +201,19 @@ class NodalMesh:
         A plate's row has the edge's ends, with elements of order 2 the middle node between. A
         solid's row has 3 or 4 facet corners, anticlockwise seen from outside.
         """
-        sides, cell_counts, cell_index = self._all_cell_sides
-        sides, cells = sides[cell_counts == 1], self.cells[cell_index[cell_counts == 1]]
+        sides, n_cells_at_side, cell_index = self._all_cell_sides
+        sides, cells = sides[n_cells_at_side == 1], self.cells[cell_index[n_cells_at_side == 1]]
         if self.dimension == 3:
-            side_positions, n_cell_corners = self.points[sides], 4 if sides.shape[1] == 3 else 8
-            outward_vectors = side_positions.mean(axis=1) - self.points[
+            positions_of_side_nodes, n_cell_corners = (
+                self.points[sides],
+                4 if sides.shape[1] == 3 else 8,
+            )
+            outward_vectors = positions_of_side_nodes.mean(axis=1) - self.points[
                 cells[:, :n_cell_corners]
             ].mean(axis=1)
             area_normals = np.cross(
-                side_positions[:, 1] - side_positions[:, 0],
-                side_positions[:, 2] - side_positions[:, 0],
+                positions_of_side_nodes[:, 1] - positions_of_side_nodes[:, 0],
+                positions_of_side_nodes[:, 2] - positions_of_side_nodes[:, 0],
             )
             is_inward = (area_normals * outward_vectors).sum(axis=1) < 0.0
             sides[is_inward] = sides[is_inward, ::-1]

@@ -35,7 +35,7 @@ from fenics_crack.scene.scene import Scene
 
 
 @dataclass(frozen=True)
-class PartMesh:
+class MeshWithNamedParts:
     """Distributed mesh of a plate or solid, with named curves, surfaces and points.
 
     Attributes
@@ -77,7 +77,7 @@ class PartMesh:
         return ufl.ds(domain=self.mesh, subdomain_data=self.facet_tags)(facet_tags)
 
 
-def build_plate_or_solid_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PartMesh:
+def build_plate_or_solid_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> MeshWithNamedParts:
     """Mesh the scene's plate or solid, or read its mesh file (collective).
 
     Raises
@@ -91,7 +91,7 @@ def build_plate_or_solid_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> 
             comm, lambda: _fill_gmsh_model_from_scene(scene)
         )
         mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm, scene.dimension)
-    return PartMesh(
+    return MeshWithNamedParts(
         mesh, facet_tags, facet_tags_by_group, position_by_point_name, crack_paths_or_surfaces
     )
 
@@ -183,14 +183,14 @@ class Dofs:
     side_node_pairs: np.ndarray | None = None
     """Nodes on a disk sector's left side, and the matching nodes on the right side: (2, m) int.
     None without a sector."""
-    node_to_global_rotations: np.ndarray | None = None
+    frame_rotation_matrix_by_node: np.ndarray | None = None
     """Rotation from each node's frame into space: (n_nodes, d, d). None without a sector."""
-    _rotation_matrix: sparse.csr_matrix | None = None
+    _free_dof_frame_rotation: sparse.csr_matrix | None = None
     """Rotation of the free dofs from the nodes' frames into space: (n_local, n_local), or None."""
 
     def __init__(
         self,
-        part_mesh: PartMesh,
+        part_mesh: MeshWithNamedParts,
         space: Any,
         comm: MPI.Comm,
         is_constrained: np.ndarray | None = None,
@@ -248,17 +248,17 @@ class Dofs:
         rotation : (d, d)
             Rotation matrix from the left side to the right side.
         """
-        self.side_node_pairs, self.node_to_global_rotations = (
+        self.side_node_pairs, self.frame_rotation_matrix_by_node = (
             side_node_pairs,
             np.tile(np.eye(self.dimension), (self.n_own_nodes, 1, 1)),
         )
-        self.node_to_global_rotations[side_node_pairs[1]] = rotation
+        self.frame_rotation_matrix_by_node[side_node_pairs[1]] = rotation
         block_row_pointers = np.arange(self.n_own_nodes + 1)
         block_diagonal_rotation = sparse.bsr_matrix(
-            (self.node_to_global_rotations, block_row_pointers[:-1], block_row_pointers)
+            (self.frame_rotation_matrix_by_node, block_row_pointers[:-1], block_row_pointers)
         ).tocsr()
-        self._rotation_matrix = block_diagonal_rotation[self.free_dofs][:, self.free_dofs]
-        self._rotation_matrix.eliminate_zeros()
+        self._free_dof_frame_rotation = block_diagonal_rotation[self.free_dofs][:, self.free_dofs]
+        self._free_dof_frame_rotation.eliminate_zeros()
 
     def restrict_to_free(self, forces: np.ndarray) -> np.ndarray:
         """Select the free dofs from forces (..., n_dofs): (..., n_local).
@@ -268,8 +268,8 @@ class Dofs:
         free_forces = forces[..., self.free_dofs]
         return (
             free_forces
-            if self._rotation_matrix is None
-            else np.asarray(free_forces @ self._rotation_matrix)
+            if self._free_dof_frame_rotation is None
+            else np.asarray(free_forces @ self._free_dof_frame_rotation)
         )
 
     def restrict_matrix(self, full_matrix: Any) -> Any:
@@ -284,9 +284,9 @@ class Dofs:
         index_set = PETSc.IS().createGeneral(global_free_dofs, comm=full_matrix.comm)
         free_block = full_matrix.createSubMatrix(index_set, index_set)
         local_rows_matrix = sparse.csr_matrix(free_block.getValuesCSR()[::-1], free_block.sizes[0])
-        if self._rotation_matrix is not None:
+        if self._free_dof_frame_rotation is not None:
             local_rows_matrix = sparse.csr_matrix(
-                self._rotation_matrix.T @ local_rows_matrix @ self._rotation_matrix
+                self._free_dof_frame_rotation.T @ local_rows_matrix @ self._free_dof_frame_rotation
             )
         local_rows_matrix.eliminate_zeros()
         csr_arrays = local_rows_matrix.indptr, local_rows_matrix.indices, local_rows_matrix.data
@@ -303,7 +303,9 @@ class Dofs:
         """
         function = dolfinx.fem.Function(self.space)
         rotated_displacement = (
-            displacement if self._rotation_matrix is None else self._rotation_matrix @ displacement
+            displacement
+            if self._free_dof_frame_rotation is None
+            else self._free_dof_frame_rotation @ displacement
         )
         function.x.array[self.free_dofs] = rotated_displacement
         function.x.scatter_forward()
@@ -324,5 +326,5 @@ class Dofs:
             cells=np.asarray(global_node_numbers).reshape(cells.shape),
             vtk_type=max(self.comm.allgather(vtk_cell_type)),
             mesh_dofs=self,
-            frames=self.node_to_global_rotations,
+            frames=self.frame_rotation_matrix_by_node,
         )

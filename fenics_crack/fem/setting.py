@@ -51,7 +51,7 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
     return np.asarray(crack_clearances[pairs.cracks % len(crack_clearances)])
 
 
-def list_force_harmonic_vectors(scene: Scene) -> list[Vector]:
+def list_mean_cos_and_sin_force_vectors(scene: Scene) -> list[Vector]:
     """Return the force vectors of ``[excitation]``: mean, then cosine and sine parts [N].
 
     The list has 2K+1 vectors, K the highest order among all loads in the scene. Parts without a
@@ -60,7 +60,7 @@ def list_force_harmonic_vectors(scene: Scene) -> list[Vector]:
     excitation, zero_vector = scene.excitation, (0.0,) * scene.dimension
     mean_cos_and_sin_forces = excitation.force_mean, excitation.force_cos, excitation.force_sin
     rows = [part or zero_vector for part in mean_cos_and_sin_forces] + [zero_vector] * (
-        2 * scene.highest_order - 2
+        2 * scene.highest_load_harmonic - 2
     )
     for harmonic_table in excitation.harmonics:
         is_complete = len(harmonic_table.cos) == scene.dimension
@@ -72,13 +72,13 @@ def list_force_harmonic_vectors(scene: Scene) -> list[Vector]:
     add_harmonics(rows, excitation.harmonics)
     if excitation.wave is not None:
         for row_index, part in enumerate(
-            read_load_coefficients_and_residual(excitation, scene.dimension)[0]
+            fit_load_wave_harmonics_and_residual(excitation, scene.dimension)[0]
         ):
             rows[row_index] = tuple(np.add(rows[row_index], part).tolist())
     return rows
 
 
-def read_load_coefficients_and_residual(
+def fit_load_wave_harmonics_and_residual(
     load: Excitation, dimension: int
 ) -> tuple[np.ndarray, float]:
     """Compute Fourier coefficients from a load's ``wave``, a table of force over a period.

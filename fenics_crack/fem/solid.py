@@ -50,7 +50,7 @@ ALLOWED_MESHING_SECONDS = 600
 """Maximum processor time for meshing a part [s]."""
 ALLOWED_MESHING_BYTES = 2**33
 """Maximum address space for meshing a part [byte]."""
-MEASURED_FRACTION_FROM_FRONT_MIDDLE = 0.4
+FRONT_FRACTION_FOR_DEPTH_AND_LIGAMENT = 0.4
 """Maximum distance from a front's middle at which depth and ligament are measured, relative to the
 front's length."""
 MAX_CELLS = 2e6
@@ -81,7 +81,7 @@ def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     gmsh.model.remove()
     gmsh.model.add("fenics_crack")
     try:
-        named_parts, crack_surfaces = load_mesh_into_gmsh(
+        named_surfaces_and_points, crack_surfaces = load_mesh_into_gmsh(
             (
                 mesh_array_by_name["numbers"],
                 metres_per_unit * mesh_array_by_name["positions"],
@@ -94,12 +94,12 @@ def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     crack_centres = np.array(
         [crack_surface.triangles.mean(axis=(0, 1)) for crack_surface in crack_surfaces]  # type: ignore[union-attr]
     )
-    drawn_centres = metres_per_unit * mesh_array_by_name["middles"]
+    drawn_crack_centres = metres_per_unit * mesh_array_by_name["middles"]
     crack_surface_indices = [
-        np.linalg.norm(crack_centres - drawn_centre, axis=1).argmin()
-        for drawn_centre in drawn_centres
+        np.linalg.norm(crack_centres - drawn_crack_centre, axis=1).argmin()
+        for drawn_crack_centre in drawn_crack_centres
     ]
-    return named_parts, tuple(
+    return named_surfaces_and_points, tuple(
         crack_surfaces[crack_surface_index] for crack_surface_index in crack_surface_indices
     )  # type: ignore[return-value]
 
@@ -125,7 +125,7 @@ def read_part_triangles_and_owners(
     return array_by_name | {"triangles": MILLIMETRE * array_by_name["triangles"]}
 
 
-def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
+def describe_faces_cracks_and_fronts(scene: Scene, structure: Structure) -> dict[str, str]:
     """Describe named faces, crack positions and crack fronts, as text by name (collective).
 
     A face's text has area and centre. A crack's text has the distance between the crack's point and
@@ -157,10 +157,11 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
     surface_triangles = nodal_mesh.points[surface_facets]
     text_by_name |= {
         f"{crack_key}.point": (
-            f"{format_quantity(point_distances.min().round(12), 'm')} from the surface"
+            f"{format_quantity(crack_point_distances_to_surface.min().round(12), 'm')} from the "
+            "surface"
         )
         for crack_key, crack in scene.crack_by_name.items()
-        for point_distances in solid_mesher.pairwise_triangle_distances(
+        for crack_point_distances_to_surface in solid_mesher.point_to_triangle_distances(
             np.reshape(crack.point or (), (-1, 3)), surface_triangles
         )
     }
@@ -168,16 +169,20 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
         front_node_arc_lengths = np.append(
             0.0, np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1).cumsum()
         )
-        is_inner_node = front.is_closed | (
+        is_near_front_middle = front.is_closed | (
             np.abs(front_node_arc_lengths / front_node_arc_lengths[-1] - 0.5)
-            <= MEASURED_FRACTION_FROM_FRONT_MIDDLE
+            <= FRONT_FRACTION_FOR_DEPTH_AND_LIGAMENT
         )
-        inner_nodes = front.node_positions[is_inner_node]
-        inner_frames = front.frame_and_curvature(front.node_parameters[is_inner_node])[0]
+        front_nodes_near_middle = front.node_positions[is_near_front_middle]
+        front_frames_near_middle = front.frame_and_curvature(
+            front.node_parameters[is_near_front_middle]
+        )[0]
         shortest_ligament = min(
             (
-                find_ray_hit_distance(node, frame[0], surface_triangles)
-                for node, frame in zip(inner_nodes, inner_frames, strict=True)
+                find_ray_hit_distance(front_node, front_node_frame[0], surface_triangles)
+                for front_node, front_node_frame in zip(
+                    front_nodes_near_middle, front_frames_near_middle, strict=True
+                )
             ),
             default=np.nan,
         )
@@ -191,13 +196,17 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
                 axis=1,
             )
         ]
-        mouth_distances = solid_mesher.pairwise_triangle_distances(inner_nodes, mouth_triangles)
-        largest_depth = mouth_distances.min(axis=1, initial=np.inf).max(initial=0.0)
-        depth_text = (
-            f"{format_quantity(largest_depth, 'm')} deep, " if 0.0 < largest_depth < np.inf else ""
+        mouth_distances = solid_mesher.point_to_triangle_distances(
+            front_nodes_near_middle, mouth_triangles
+        )
+        largest_crack_depth = mouth_distances.min(axis=1, initial=np.inf).max(initial=0.0)
+        crack_depth_text = (
+            f"{format_quantity(largest_crack_depth, 'm')} deep, "
+            if 0.0 < largest_crack_depth < np.inf
+            else ""
         )
         text_by_name[front.name] = (
-            f"{format_quantity(float(front_node_arc_lengths[-1]), 'm')} long, {depth_text}"
+            f"{format_quantity(float(front_node_arc_lengths[-1]), 'm')} long, {crack_depth_text}"
             f"with at least {format_quantity(shortest_ligament, 'm')} of material straight ahead"
         )
     return text_by_name
@@ -230,27 +239,37 @@ def find_reaches_from_crack_middle(scene: Scene) -> tuple[float, float]:
     e_1 to the farthest point of the section behind the middle, then ahead. Both are >= 0.
     """
     crack, geometry = _make_mesher_cracks(scene, 1.0)[0], scene.geometry
-    triangles = (
+    solid_surface_triangles = (
         np.array(
-            [*combinations(product(*((0.0, side_length) for side_length in geometry.sides)), 3)]
+            [
+                *combinations(
+                    product(*((0.0, box_side_length) for box_side_length in geometry.sides)), 3
+                )
+            ]
         )
         if geometry.file is None
         else read_part_triangles_and_owners(str(geometry.file), geometry.unit)["triangles"]
     )
     corner_x, _, corner_heights_above_crack = np.moveaxis(
-        (triangles - crack["middle"]) @ np.transpose(crack["frame"]), -1, 0
+        (solid_surface_triangles - crack["middle"]) @ np.transpose(crack["frame"]), -1, 0
     )
-    x_step, height_step = (
+    x_difference_along_triangle_side, height_difference_along_side = (
         np.roll(corner_coordinates, -1, axis=1) - corner_coordinates
         for corner_coordinates in (corner_x, corner_heights_above_crack)
     )
-    is_crossed = (
-        corner_heights_above_crack * (corner_heights_above_crack + height_step) <= 0.0
-    ) & (height_step != 0.0)
-    crossing_x = (
-        corner_x - corner_heights_above_crack * x_step / np.where(is_crossed, height_step, 1.0)
-    )[is_crossed]
-    return -float(crossing_x.min(initial=0.0)), float(crossing_x.max(initial=0.0))
+    does_side_cross_crack_plane = (
+        corner_heights_above_crack * (corner_heights_above_crack + height_difference_along_side)
+        <= 0.0
+    ) & (height_difference_along_side != 0.0)
+    x_of_crack_plane_crossings = (
+        corner_x
+        - corner_heights_above_crack
+        * x_difference_along_triangle_side
+        / np.where(does_side_cross_crack_plane, height_difference_along_side, 1.0)
+    )[does_side_cross_crack_plane]
+    return -float(x_of_crack_plane_crossings.min(initial=0.0)), float(
+        x_of_crack_plane_crossings.max(initial=0.0)
+    )
 
 
 def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
@@ -263,19 +282,20 @@ def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     float
         Unit of length in the arrays [m].
     """
-    unit_scene, unit = scale_scene_to_mesh_unit(scene, MILLIMETRE)
-    geometry, mesh = scene.geometry, unit_scene.mesh
+    scene_in_mesh_units, metres_per_unit = scale_scene_to_mesh_unit(scene, MILLIMETRE)
+    geometry, mesh = scene.geometry, scene_in_mesh_units.mesh
     keys_and_face_points = [
         (face.key, face_point) for face in geometry.faces for face_point in face.values
     ]
     mesher_request = {
         "unit": geometry.unit or "mm", "size": mesh.size, "per_turn": mesh.per_turn,
         "faces": [
-            (face_key, np.divide(point, unit).tolist()) for face_key, point in keys_and_face_points
+            (face_key, np.divide(point_on_face, metres_per_unit).tolist()) for face_key,
+            point_on_face in keys_and_face_points
         ],
-        "cracks": _make_mesher_cracks(unit_scene, unit), "cells": MAX_CELLS,
+        "cracks": _make_mesher_cracks(scene_in_mesh_units, metres_per_unit), "cells": MAX_CELLS,
     }  # fmt: skip
-    return _run_mesher(str(geometry.file), mesher_request, scene), unit
+    return _run_mesher(str(geometry.file), mesher_request, scene), metres_per_unit
 
 
 def _run_mesher(
@@ -307,8 +327,10 @@ def _run_mesher(
     with report_read_errors(
         "geometry.file", path, "a CAD file with a part that gmsh can read and mesh"
     ):
-        file_mark = FILE_MARK_BY_ENDING.get(Path(path).suffix.lower(), b"ISO-10303-21")
-        if file_mark not in read_first_bytes(path, 4096):
+        required_text_at_file_start = FILE_MARK_BY_ENDING.get(
+            Path(path).suffix.lower(), b"ISO-10303-21"
+        )
+        if required_text_at_file_start not in read_first_bytes(path, 4096):
             raise ValueError("it does not begin as a STEP or BREP file")
         array_by_name = run_reader_for_arrays(
             Path(solid_mesher.__file__),
@@ -351,19 +373,23 @@ def _make_mesher_cracks(scene: Scene, metres_per_unit: float) -> list[dict[str, 
             geometry_fields = _make_box_crack_geometry(crack, scene.geometry.sides)
         else:
             ellipse_half_axes = crack.half_axes if crack.front != "through" else None
-            offset_of_middle = (crack.length or 0.0) * crack.frame[0] * (ellipse_half_axes is None)
+            offset_from_point_to_crack_middle = (
+                (crack.length or 0.0) * crack.frame[0] * (ellipse_half_axes is None)
+            )
             geometry_fields = {
-                "middle": (crack.point + offset_of_middle).tolist(), "frame": crack.frame.tolist(),
+                "middle": (crack.point + offset_from_point_to_crack_middle).tolist(),
+                "frame": crack.frame.tolist(),
                 "half": ellipse_half_axes, "is_round": ellipse_half_axes is not None,
                 "reach": ellipse_half_axes and min(ellipse_half_axes),
             }  # fmt: skip
-        given_size_keys = (
+        given_crack_size_keys = (
             size_key
             for size_key in ("radii", "depth", "length")
             if getattr(crack, size_key) is not None
         )
         mesher_cracks.append({
-            "key": crack_key, "shape": next(given_size_keys, "point"), "unit": metres_per_unit,
+            "key": crack_key, "shape": next(given_crack_size_keys, "point"),
+            "unit": metres_per_unit,
             **geometry_fields,
             "elements": scene.mesh.given("lip_elements"), "grading": scene.mesh.grading,
         })  # fmt: skip
@@ -411,9 +437,12 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     InputError
         A crack is unusable, there would be too many cells, or gmsh fails.
     """
-    unit_scene, metres_per_unit = scale_scene_to_mesh_unit(scene)
-    width, height, thickness = box_size = unit_scene.geometry.sides
-    occ, disk_rim_or_none = gmsh.model.occ, None if scene.disk is None else DiskRim(unit_scene)
+    scene_in_mesh_units, metres_per_unit = scale_scene_to_mesh_unit(scene)
+    width, height, thickness = box_size = scene_in_mesh_units.geometry.sides
+    occ, disk_rim_or_none = (
+        gmsh.model.occ,
+        None if scene.disk is None else DiskRim(scene_in_mesh_units),
+    )
     solid_dim_tags = (
         [(3, occ.addBox(0.0, 0.0, 0.0, *box_size))]
         if disk_rim_or_none is None
@@ -422,10 +451,12 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     occ.synchronize()
     coarse_face_triangles = np.zeros((0, 3, 3))
     if any(crack.point is not None for crack in scene.crack_by_name.values()):
-        coarse_face_triangles, _ = solid_mesher.mesh_faces_coarsely()
+        coarse_face_triangles, _ = solid_mesher.triangulate_faces_coarsely()
     try:
         crack_surface_tags, fronts = solid_mesher.insert_cracks(
-            solid_dim_tags, _make_mesher_cracks(unit_scene, metres_per_unit), coarse_face_triangles
+            solid_dim_tags,
+            _make_mesher_cracks(scene_in_mesh_units, metres_per_unit),
+            coarse_face_triangles,
         )
     except solid_mesher.Refusal as refusal:
         refused_key, requirement = refusal.args
@@ -453,7 +484,7 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
             2, *(surface_tags_by_name[surface_name] for surface_name in RIM_SIDE_NAMES)
         )
     try:
-        solid_mesher.generate_mesh(unit_scene.mesh.given("size"), fronts)
+        solid_mesher.generate_mesh(scene_in_mesh_units.mesh.given("size"), fronts)
     except Exception as error:  # gmsh raises nothing else
         raise meshing_refusal(scene, str(error)) from None
     return solid_mesher.collect_mesh(crack_surface_tags, surface_tags_by_name), metres_per_unit
@@ -470,8 +501,11 @@ def _check_cell_number(scene: Scene, metres_per_unit: float, fronts: list[dict[s
     )
     size_key, size_note = "size", ""
     if n_front_cells > n_bulk_cells:
-        shortest_length = metres_per_unit * min(front["shortest"] for front in fronts)
-        size_key, size_note = "lip_elements", f", at a crack's front {shortest_length:.2g} m long"
+        shortest_element_length = metres_per_unit * min(front["shortest"] for front in fronts)
+        size_key, size_note = (
+            "lip_elements",
+            f", at a crack's front {shortest_element_length:.2g} m long",
+        )
     check_cell_count(
         scene, size_key, n_bulk_cells + n_front_cells, scene.mesh.order**3 // 2, size_note
     )

@@ -40,16 +40,16 @@ STRAIGHT_CELL_DISTANCE_IN_ELEMENTS = 2.5
 MIN_JACOBIAN_RATIO_IN_CELL = 0.2
 """Minimum ratio of smallest to largest Jacobian determinant in a cell. Below, the cell's edges are
 straightened."""
-MIN_CURVED_LENGTH_TO_SIZE = 0.1
+MIN_ELEMENT_ON_CURVED_FACE_TO_SIZE = 0.1
 """Minimum element length on curved faces, relative to ``mesh.size``."""
 MIN_LIGAMENT_IN_ELEMENTS = 0.1
 """Minimum distance between crack front and part surface, in element lengths at the front."""
-MAX_FACE_POINT_DISTANCE_RATIO = 0.1
+MAX_FACE_POINT_DISTANCE_TO_PART_SIZE = 0.1
 """Maximum distance between a named point and the nearest face, relative to the part's size."""
 ELLIPSE_START_ANGLE = 1.0 + math.pi
 """Angle at which a drawn ellipse begins and ends [rad]. On an axis, the curve's end would lie
 beside the mouth of a half ellipse, and rounding would make a short edge."""
-MAX_SHORT_TO_LONG_RADIUS = 1.0 - 1e-9
+MAX_SHORT_TO_LONG_ELLIPSE_RADIUS = 1.0 - 1e-9
 """Maximum ratio of shorter to longer radius. In gmsh 4.8, intersections fail for an ellipse with
 equal radii."""
 N_CURVE_INTERVALS = 40
@@ -86,10 +86,10 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
     Returns
     -------
     dict
-        For a mesh file, arrays of :func:`collect_groups`. For a part, arrays of
+        For a mesh file, arrays of :func:`collect_nodes_and_groups`. For a part, arrays of
         :func:`collect_mesh` with "straight", the number of straightened cells. Without "size",
-        "triangles" and "owners" of :func:`mesh_faces_coarsely`. For an unusable part, "refused":
-        key and requirement.
+        "triangles" and "owners" of :func:`triangulate_faces_coarsely`. For an unusable part,
+        "refused": key and requirement.
     """
     with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
         ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
@@ -98,10 +98,13 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
     gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask
     if request is None:
         gmsh.merge(path)
-        name_of, entities_of = gmsh.model.getPhysicalName, gmsh.model.getEntitiesForPhysicalGroup
-        return collect_groups(
+        name_of_group, entities_of_group = (
+            gmsh.model.getPhysicalName,
+            gmsh.model.getEntitiesForPhysicalGroup,
+        )
+        return collect_nodes_and_groups(
             [
-                (*dim_tag, name_of(*dim_tag), entities_of(*dim_tag))
+                (*dim_tag, name_of_group(*dim_tag), entities_of_group(*dim_tag))
                 for dim_tag in gmsh.model.getPhysicalGroups()
             ]
         )
@@ -117,22 +120,25 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
     Raises Refusal for a part that cannot be meshed.
     """
     solid_dim_tags = _import_part(path, request["unit"])
-    triangles, owners = mesh_faces_coarsely()
+    triangles, face_tag_of_triangle = triangulate_faces_coarsely()
     if "size" not in request:
-        return {"triangles": triangles, "owners": owners}
-    names_and_face_tags = _find_names_and_face_tags(request["faces"], triangles, owners)
+        return {"triangles": triangles, "owners": face_tag_of_triangle}
+    names_and_face_tags = _find_names_and_face_tags(
+        request["faces"], triangles, face_tag_of_triangle
+    )
     crack_surface_tags, fronts = insert_cracks(solid_dim_tags, request["cracks"], triangles)
     size = request["size"]
     n_bulk_cells, n_front_cells = estimate_bulk_and_front_cells(size, fronts)
     if n_bulk_cells + n_front_cells > request["cells"]:
-        refused_key, direction_text = (
+        refused_key, larger_or_smaller_text = (
             ("mesh.size", "larger")
             if n_bulk_cells > n_front_cells
             else ("mesh.lip_elements", "smaller")
         )
         raise Refusal(
             refused_key,
-            f"{direction_text}, for a mesh of at most {request['cells']:.0e} cells; it would have "
+            f"{larger_or_smaller_text}, for a mesh of at most {request['cells']:.0e} cells; it "
+            "would have "
             f"about {n_bulk_cells + n_front_cells:.2g}",
         )
     try:
@@ -141,7 +147,9 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
     except Exception as error:
         requirement = f"another size, as gmsh cannot mesh the part with this one ({error})"
         raise Refusal("mesh.size", requirement) from None
-    face_of_surface = _match_surfaces(crack_surface_tags, triangles, owners)
+    face_of_surface = _match_outer_surfaces_to_faces(
+        crack_surface_tags, triangles, face_tag_of_triangle
+    )
     surface_tags_by_name = {
         name: [
             surface_tag
@@ -150,9 +158,11 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
         ]
         for name, face_tags in names_and_face_tags
     }
-    contents = collect_mesh(crack_surface_tags, surface_tags_by_name)
-    contents["positions"], contents["straight"] = straighten_edges(contents, fronts)
-    return contents
+    mesh_array_by_name = collect_mesh(crack_surface_tags, surface_tags_by_name)
+    mesh_array_by_name["positions"], mesh_array_by_name["straight"] = straighten_edges(
+        mesh_array_by_name, fronts
+    )
+    return mesh_array_by_name
 
 
 # --- the part -------------------------------------------------------------------------------------
@@ -180,7 +190,7 @@ def _import_part(path: str, unit: str) -> Tags:
     return solid_dim_tags
 
 
-def mesh_faces_coarsely() -> tuple[np.ndarray, np.ndarray]:
+def triangulate_faces_coarsely() -> tuple[np.ndarray, np.ndarray]:
     """Mesh the faces of gmsh's current part coarsely, and clear the mesh again.
 
     Returns
@@ -190,21 +200,23 @@ def mesh_faces_coarsely() -> tuple[np.ndarray, np.ndarray]:
     owners : (n,) int
         gmsh's tag of the face on which each triangle lies.
     """
-    bounds = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-    max_size = float(np.linalg.norm(np.ptp(bounds, axis=0))) / COARSE_TRIANGLES_PER_DIAGONAL
+    bounding_box_corners = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
+    max_size = (
+        float(np.linalg.norm(np.ptp(bounding_box_corners, axis=0))) / COARSE_TRIANGLES_PER_DIAGONAL
+    )
     set_size_options(Max=max_size, FromCurvature=16, Min=0.05 * max_size)
     try:
         gmsh.model.mesh.generate(2)
     except Exception as error:
         requirement = f"a part whose faces gmsh can mesh; repair it in the CAD program ({error})"
         raise Refusal("geometry.file", requirement) from None
-    triangles, owners = [], []
+    triangles, face_tag_of_triangle = [], []
     for _, face_tag in gmsh.model.getEntities(2):
         face_triangles = _face_triangles(face_tag)
         triangles.append(face_triangles)
-        owners += [face_tag] * len(face_triangles)
+        face_tag_of_triangle += [face_tag] * len(face_triangles)
     gmsh.model.mesh.clear()
-    return np.concatenate(triangles), np.array(owners)
+    return np.concatenate(triangles), np.array(face_tag_of_triangle)
 
 
 def _face_triangles(tag: int) -> np.ndarray:
@@ -216,22 +228,22 @@ def _face_triangles(tag: int) -> np.ndarray:
     if not kinds:
         return np.zeros((0, 3, 3))
     n_nodes_per_element = gmsh.model.mesh.getElementProperties(kinds[0])[3]
-    numbers, positions, _ = gmsh.model.mesh.getNodes()
-    number_order = np.argsort(numbers)
+    node_numbers, positions, _ = gmsh.model.mesh.getNodes()
+    number_order = np.argsort(node_numbers)
     corner_numbers = nodes[0].reshape(-1, n_nodes_per_element)[:, :3]
-    node_index = number_order[np.searchsorted(numbers, corner_numbers, sorter=number_order)]
+    node_index = number_order[np.searchsorted(node_numbers, corner_numbers, sorter=number_order)]
     return positions.reshape(-1, 3)[node_index]
 
 
-def pairwise_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def point_to_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return the distance from each point (n, 3) to each triangle (m, 3, 3): (n, m)."""
     side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    offsets = points[:, None] - triangles[:, 0]
+    offsets_from_corner_to_point = points[:, None] - triangles[:, 0]
     side_1_squared = (side_1**2).sum(1)
     side_1_dot_side_2 = (side_1 * side_2).sum(1)
     side_2_squared = (side_2**2).sum(1)
-    offset_dot_side_1 = (offsets * side_1).sum(2)
-    offset_dot_side_2 = (offsets * side_2).sum(2)
+    offset_dot_side_1 = (offsets_from_corner_to_point * side_1).sum(2)
+    offset_dot_side_2 = (offsets_from_corner_to_point * side_2).sum(2)
     gram_determinant = np.maximum(side_1_squared * side_2_squared - side_1_dot_side_2**2, 1e-300)
     u = (
         side_2_squared * offset_dot_side_1 - side_1_dot_side_2 * offset_dot_side_2
@@ -240,17 +252,20 @@ def pairwise_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np
         side_1_squared * offset_dot_side_2 - side_1_dot_side_2 * offset_dot_side_1
     ) / gram_determinant
     distances_to_triangles = np.linalg.norm(
-        offsets - u[..., None] * side_1 - v[..., None] * side_2, axis=2
+        offsets_from_corner_to_point - u[..., None] * side_1 - v[..., None] * side_2, axis=2
     )
     distances_to_triangles[(u < 0.0) | (v < 0.0) | (u + v > 1.0)] = np.inf
     for start_corner, stop_corner in ((0, 1), (1, 2), (2, 0)):
         side = triangles[:, stop_corner] - triangles[:, start_corner]
-        offsets = points[:, None] - triangles[:, start_corner]
+        offsets_from_corner_to_point = points[:, None] - triangles[:, start_corner]
         fractions = np.clip(
-            (offsets * side).sum(2) / np.maximum((side**2).sum(1), 1e-300), 0.0, 1.0
+            (offsets_from_corner_to_point * side).sum(2) / np.maximum((side**2).sum(1), 1e-300),
+            0.0,
+            1.0,
         )
         distances_to_triangles = np.minimum(
-            distances_to_triangles, np.linalg.norm(offsets - fractions[..., None] * side, axis=2)
+            distances_to_triangles,
+            np.linalg.norm(offsets_from_corner_to_point - fractions[..., None] * side, axis=2),
         )
     return distances_to_triangles
 
@@ -279,8 +294,8 @@ def _find_names_and_face_tags(
     part_size = np.ptp(part_triangles.reshape(-1, 3), axis=0).max()
     face_tags_by_name: dict[str, set[int]] = {}
     for name, point in names_and_points:
-        point_distances = pairwise_triangle_distances(np.array([point]), part_triangles)[0]
-        if point_distances.min() > MAX_FACE_POINT_DISTANCE_RATIO * part_size:
+        point_distances = point_to_triangle_distances(np.array([point]), part_triangles)[0]
+        if point_distances.min() > MAX_FACE_POINT_DISTANCE_TO_PART_SIZE * part_size:
             position_text = ", ".join(f"{1e-3 * coordinate:.4g}" for coordinate in point)
             requirement = (
                 f"points on faces; the point ({position_text}) m of {name} is"
@@ -291,7 +306,7 @@ def _find_names_and_face_tags(
     return face_tags_by_name.items()
 
 
-def _match_surfaces(
+def _match_outer_surfaces_to_faces(
     crack_surface_tags: list[int], part_triangles: np.ndarray, triangle_faces: np.ndarray
 ) -> dict[int, int]:
     """Match each outer surface of the cracked part to a face of the uncracked part.
@@ -307,7 +322,7 @@ def _match_surfaces(
             triangle_centres = _face_triangles(surface_tag).mean(axis=1)
             sample_points = triangle_centres[:: max(1, len(triangle_centres) // N_CURVE_INTERVALS)]
             nearest_faces = triangle_faces[
-                pairwise_triangle_distances(sample_points, part_triangles).argmin(axis=1)
+                point_to_triangle_distances(sample_points, part_triangles).argmin(axis=1)
             ]
             face_of_surface[surface_tag] = (
                 np.bincount(nearest_faces).argmax() if len(nearest_faces) else 0
@@ -354,28 +369,31 @@ def insert_cracks(
     for crack in cracks:
         if crack["half"] is None:
             crack["half"] = [2.0 * np.ptp(part_triangles.reshape(-1, 3), axis=0).max()] * 2
-        inner_dim_tags = occ.intersect(
+        crack_piece_dim_tags = occ.intersect(
             _draw_crack_face(crack), solid_dim_tags, removeObject=True, removeTool=False
         )[0]
-        inner_dim_tags = [
-            inner_dim_tag for inner_dim_tag in inner_dim_tags if inner_dim_tag[0] == 2
+        crack_piece_dim_tags = [
+            crack_piece_dim_tag
+            for crack_piece_dim_tag in crack_piece_dim_tags
+            if crack_piece_dim_tag[0] == 2
         ]
-        if len(inner_dim_tags) != 1:
+        if len(crack_piece_dim_tags) != 1:
             centres = np.reshape(
-                [occ.getCenterOfMass(*face_dim_tag) for face_dim_tag in inner_dim_tags], (-1, 3)
+                [occ.getCenterOfMass(*face_dim_tag) for face_dim_tag in crack_piece_dim_tags],
+                (-1, 3),
             )
-            is_on_part_face = pairwise_triangle_distances(centres, part_triangles) < 1e-6 * np.ptp(
+            is_on_part_face = point_to_triangle_distances(centres, part_triangles) < 1e-6 * np.ptp(
                 part_triangles
             )
             problem = (
                 f"the crack misses the part{_describe_part_extent(crack, part_triangles)}"
-                if not inner_dim_tags
+                if not crack_piece_dim_tags
                 else "the crack lies in a face of the part" if np.any(is_on_part_face)
-                else f"the crack is in {len(inner_dim_tags)} pieces"
+                else f"the crack is in {len(crack_piece_dim_tags)} pieces"
             )  # fmt: skip
             requirement_text = f"such that the crack is one surface inside the part; {problem}"
             raise Refusal(f"{crack['key']}.point", requirement_text)
-        crack_face_dim_tags += inner_dim_tags
+        crack_face_dim_tags += crack_piece_dim_tags
     fragments, children = (
         occ.fragment(solid_dim_tags, crack_face_dim_tags)
         if crack_face_dim_tags
@@ -433,17 +451,29 @@ def _describe_part_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
 
 def _draw_crack_face(crack: CrackData) -> Tags:
     """Draw a crack's ellipse or rectangle in gmsh; return dimension and tag in a list."""
-    occ, (e_1, e_2, normal), (a, b) = gmsh.model.occ, np.array(crack["frame"]), crack["half"]
-    if crack["is_round"] and a < b:
-        a, b, e_1 = b, a, e_2
+    occ, (e_1, e_2, normal), (half_axis_a, half_axis_b) = (
+        gmsh.model.occ,
+        np.array(crack["frame"]),
+        crack["half"],
+    )
+    if crack["is_round"] and half_axis_a < half_axis_b:
+        half_axis_a, half_axis_b, e_1 = half_axis_b, half_axis_a, e_2
     if crack["is_round"]:
         ellipse_tag = occ.addEllipse(
-            0.0, 0.0, 0.0, a, min(b, MAX_SHORT_TO_LONG_RADIUS * a),
+            0.0, 0.0, 0.0, half_axis_a,
+            min(half_axis_b, MAX_SHORT_TO_LONG_ELLIPSE_RADIUS * half_axis_a),
             angle1=ELLIPSE_START_ANGLE, angle2=ELLIPSE_START_ANGLE + 2.0 * math.pi,
         )  # fmt: skip
         face_dim_tags = [(2, occ.addPlaneSurface([occ.addCurveLoop([ellipse_tag])]))]
     else:
-        face_dim_tags = [(2, occ.addRectangle(-a, -b, 0.0, 2.0 * a, 2.0 * b))]
+        face_dim_tags = [
+            (
+                2,
+                occ.addRectangle(
+                    -half_axis_a, -half_axis_b, 0.0, 2.0 * half_axis_a, 2.0 * half_axis_b
+                ),
+            )
+        ]
     e_2 = np.cross(normal, e_1)
     is_horizontal = math.hypot(normal[0], normal[1]) < 1e-12
     euler_angles = (
@@ -455,7 +485,9 @@ def _draw_crack_face(crack: CrackData) -> Tags:
         ((0, 0, 1), (0, 1, 0), (0, 0, 1)), euler_angles, strict=True
     ):
         occ.rotate(face_dim_tags, 0.0, 0.0, 0.0, *rotation_axis, euler_angle)
-    occ.translate(face_dim_tags, *(crack["middle"] - (crack["reach"] is None) * a * np.array(e_1)))
+    occ.translate(
+        face_dim_tags, *(crack["middle"] - (crack["reach"] is None) * half_axis_a * np.array(e_1))
+    )
     return face_dim_tags
 
 
@@ -478,15 +510,15 @@ def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
         rim_points = _sample_curve(rim_curve)
         x, y, _ = ((rim_points - crack["middle"]) @ frame.T).T
         if is_straight:
-            relative_border_position = 1.0 + x / half_axes[0]
+            position_relative_to_border = 1.0 + x / half_axes[0]
             extent_behind_front = max(extent_behind_front, -float(x.min()))
         elif crack["is_round"]:
-            relative_border_position = np.hypot(x / half_axes[0], y / half_axes[1])
+            position_relative_to_border = np.hypot(x / half_axes[0], y / half_axes[1])
         else:
-            relative_border_position = np.maximum(
+            position_relative_to_border = np.maximum(
                 np.abs(x) / half_axes[0], np.abs(y) / half_axes[1]
             )
-        if np.abs(relative_border_position - 1.0).max() < 1e-5:
+        if np.abs(position_relative_to_border - 1.0).max() < 1e-5:
             front_curves.append(rim_curve)
             point_arrays.append(rim_points)
     extent_behind_front = extent_behind_front if is_straight else crack["reach"]
@@ -522,12 +554,12 @@ def _check_front_and_ligament_exist(
     ``surface_tag`` is gmsh's tag of the crack's surface. ``part_triangles`` (n, 3, 3) are triangles
     on the faces of the part.
     """
-    point_key, shortest_length = f"{crack['key']}.point", front["shortest"]
+    point_key, shortest_element_length = f"{crack['key']}.point", front["shortest"]
     centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface_tag)])
     if (
         not front["curves"]
-        or pairwise_triangle_distances(centre, part_triangles).min()
-        < MIN_LIGAMENT_IN_ELEMENTS * shortest_length
+        or point_to_triangle_distances(centre, part_triangles).min()
+        < MIN_LIGAMENT_IN_ELEMENTS * shortest_element_length
     ):
         problem_text = (
             "lies in a face of the part" if front["curves"] else "has no front inside the part"
@@ -539,12 +571,12 @@ def _check_front_and_ligament_exist(
     distances_to_nearest_end = np.linalg.norm(points[:, None] - end_points, axis=2).min(
         axis=1, initial=np.inf
     )
-    points_off_ends = points[distances_to_nearest_end > 2.0 * shortest_length]
-    shortest_ligament = pairwise_triangle_distances(points_off_ends, part_triangles).min(
+    points_off_ends = points[distances_to_nearest_end > 2.0 * shortest_element_length]
+    shortest_ligament = point_to_triangle_distances(points_off_ends, part_triangles).min(
         initial=np.inf
     )
-    if shortest_ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_length:
-        distance_text = f"{shortest_ligament / shortest_length:.2g} element lengths away"
+    if shortest_ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_element_length:
+        distance_text = f"{shortest_ligament / shortest_element_length:.2g} element lengths away"
         requirement_text = f"farther from the surface: a part of the front is only {distance_text}"
         raise Refusal(point_key, requirement_text)
 
@@ -567,8 +599,10 @@ def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple
     )
     front_integral = 0.0
     for front in fronts:
-        shortest_length = min(front["shortest"], size)
-        radial_integral = 0.5 / shortest_length - 1.0 / size + 0.5 * shortest_length / size**2
+        shortest_element_length = min(front["shortest"], size)
+        radial_integral = (
+            0.5 / shortest_element_length - 1.0 / size + 0.5 * shortest_element_length / size**2
+        )
         front_integral += front["length"] * 2.0 * math.pi / front["growth"] ** 2 * radial_integral
     return CELLS_PER_CUBED_LENGTH * relative_volume, CELLS_PER_CUBED_LENGTH * front_integral
 
@@ -598,7 +632,9 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
     if length_fields:
         use_smallest_length(length_fields)
     # Small faces of a part are not resolved, as some meshes would not end.
-    min_size = min([MIN_CURVED_LENGTH_TO_SIZE * size, *(front["shortest"] for front in fronts)])
+    min_size = min(
+        [MIN_ELEMENT_ON_CURVED_FACE_TO_SIZE * size, *(front["shortest"] for front in fronts)]
+    )
     set_size_options(
         FromPoints=0, ExtendFromBoundary=0, FromCurvature=per_turn, Max=size, Min=min_size
     )
@@ -662,19 +698,23 @@ def collect_mesh(
     Returns
     -------
     dict
-        Arrays of :func:`collect_groups`, and "middles", the cracks' centres of mass (n, 3).
+        Arrays of :func:`collect_nodes_and_groups`, and "middles", the cracks' centres of mass (n,
+        3).
     """
     surface_groups = [
         *surface_tags_by_name.items(),
-        *((f"crack {number}", [tag]) for number, tag in enumerate(crack_surface_tags, 1)),
+        *(
+            (f"crack {crack_number}", [tag])
+            for crack_number, tag in enumerate(crack_surface_tags, 1)
+        ),
     ]
     groups = [(3, 1, "solid", [tag for _, tag in gmsh.model.getEntities(3)])]
     groups += [(2, tag, *surface_group) for tag, surface_group in enumerate(surface_groups, 2)]
     crack_centres = [gmsh.model.occ.getCenterOfMass(2, tag) for tag in crack_surface_tags]
-    return collect_groups(groups) | {"middles": np.reshape(crack_centres, (-1, 3))}
+    return collect_nodes_and_groups(groups) | {"middles": np.reshape(crack_centres, (-1, 3))}
 
 
-def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
+def collect_nodes_and_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
     """Collect the nodes and named groups of gmsh's current mesh as arrays.
 
     A group with several kinds of elements, or several entities, becomes several rows in the arrays.
@@ -718,8 +758,8 @@ def straighten_edges(
 ) -> tuple[np.ndarray, int]:
     """Straighten the edges of cells at crack fronts, and of nearly folded cells.
 
-    ``array_by_name`` has the arrays of :func:`collect_groups` for quadratic tetrahedra. Middle
-    nodes move to the middle of the edge.
+    ``array_by_name`` has the arrays of :func:`collect_nodes_and_groups` for quadratic tetrahedra.
+    Middle nodes move to the middle of the edge.
 
     Returns
     -------
@@ -762,13 +802,13 @@ def straighten_edges(
                 + front["length"] / N_CURVE_INTERVALS
             )
     edge_centres = positions[cells[:, TETRAHEDRON_EDGES]].mean(axis=2)
-    is_bent_cell = np.abs(positions[cells[:, 4:]] - edge_centres).max(axis=(1, 2)) > 1e-9 * np.ptp(
-        positions
-    )
+    is_initially_curved_cell = np.abs(positions[cells[:, 4:]] - edge_centres).max(
+        axis=(1, 2)
+    ) > 1e-9 * np.ptp(positions)
     while np.any(must_straighten_cell & ~is_straightened_cell):
         is_straightened_cell |= must_straighten_cell
         positions[cells[must_straighten_cell, 4:]] = positions[
             cells[must_straighten_cell][:, TETRAHEDRON_EDGES]
         ].mean(axis=2)
         must_straighten_cell = is_folded()
-    return positions, int((is_straightened_cell & is_bent_cell).sum())
+    return positions, int((is_straightened_cell & is_initially_curved_cell).sum())

@@ -22,14 +22,14 @@ from fenics_crack.files.store import StoredFile, check_shapes, read_result_file,
 from fenics_crack.model.contact import (
     ContactLaw,
     UnilateralConstraint,
-    add_contact_rows,
+    add_pair_for_each_contact_force,
     friction_of,
     is_rigid,
     is_unilateral,
-    split_rows_of_pairs,
+    split_pairs_into_layers,
 )
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.modes import NEGLIGIBLE, Modes
+from fenics_crack.model.modes import STIFFNESS_SOLUTION_ROUNDING, Modes
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import resize_harmonics
@@ -87,7 +87,7 @@ def save(
     """
     if type(result) not in _PACK_UNPACK_FUNCTIONS_BY_CLASS:
         class_names_text = ", ".join(
-            result_type.__name__ for result_type in _PACK_UNPACK_FUNCTIONS_BY_CLASS
+            storable_class.__name__ for storable_class in _PACK_UNPACK_FUNCTIONS_BY_CLASS
         )
         raise InputError("result", type(result).__name__, f"one of {class_names_text}")
     datasets = _PACK_UNPACK_FUNCTIONS_BY_CLASS[type(result)][0](result) | {"verification": errors}
@@ -150,12 +150,12 @@ def unpack_result(
         The file has no result, or belongs to another structure or law.
     """
     result_type = result_class(stored_file)
-    with stored_file.yield_checked_datasets() as datasets:
+    with stored_file.yield_datasets_with_valid_numbers() as datasets:
         if (friction := friction_of(contact)) is not None and "law_direction" in datasets:
-            line_field_by_name = {
+            friction_line_field_by_name = {
                 name: datasets[f"law_{name}"] for name in ("direction", "turning")
             }
-            contact = replace(friction, **line_field_by_name)
+            contact = replace(friction, **friction_line_field_by_name)
         return _PACK_UNPACK_FUNCTIONS_BY_CLASS[result_type][1](datasets, structure, contact)
 
 
@@ -198,7 +198,7 @@ def _pack_modes(modes: Modes) -> Datasets:
     nodal_shapes = nodal_mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
     return {
         "omega": modes.omega,
-        "nodes": _find_node_positions_and_midpoints(nodal_mesh),
+        "nodes": _node_positions_and_mean_cell_midpoints(nodal_mesh),
         "shapes": nodal_shapes,
     }
 
@@ -235,53 +235,53 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
     assert whole_structure.nodes is not None
     from scipy.spatial import cKDTree  # takes a while, and is needed here alone
 
-    positions_and_midpoints = _find_node_positions_and_midpoints(nodal_mesh)
-    stored_positions_and_midpoints = datasets["nodes"]
+    node_positions_and_cell_midpoints = _node_positions_and_mean_cell_midpoints(nodal_mesh)
+    stored_positions_and_cell_midpoints = datasets["nodes"]
     dimension = nodal_mesh.dimension
     check_shapes(
         datasets,
         {
-            "shapes": (len(omegas), len(stored_positions_and_midpoints), dimension),
+            "shapes": (len(omegas), len(stored_positions_and_cell_midpoints), dimension),
             "nodes": (-1, 2 * dimension),
         },
     )
-    nearest_distances, stored_node_indices = cKDTree(stored_positions_and_midpoints).query(
-        positions_and_midpoints
-    )
-    is_one_to_one = len(stored_positions_and_midpoints) == len(positions_and_midpoints) and len(
-        set(stored_node_indices)
-    ) == len(stored_node_indices)
-    if not is_one_to_one or nearest_distances.max() > 1e-6 * nodal_mesh.size:
+    distances_to_nearest_stored_node, nearest_stored_node_indices = cKDTree(
+        stored_positions_and_cell_midpoints
+    ).query(node_positions_and_cell_midpoints)
+    is_one_to_one = len(stored_positions_and_cell_midpoints) == len(
+        node_positions_and_cell_midpoints
+    ) and len(set(nearest_stored_node_indices)) == len(nearest_stored_node_indices)
+    if not is_one_to_one or distances_to_nearest_stored_node.max() > 1e-6 * nodal_mesh.size:
         raise InputError(
             "structure",
-            f"{len(positions_and_midpoints)} nodes",
-            f"the structure of the file, with {len(stored_positions_and_midpoints)} nodes "
+            f"{len(node_positions_and_cell_midpoints)} nodes",
+            f"the structure of the file, with {len(stored_positions_and_cell_midpoints)} nodes "
             "at the same places",
         )
     first_node = whole_structure.comm.exscan(len(whole_structure.nodes.points)) or 0
-    local_shapes = nodal_mesh.to_nodal_frames(stored_shapes[:, stored_node_indices])[
-        :, first_node : first_node + len(whole_structure.nodes.points)
-    ]
+    nodal_shapes_of_rank = nodal_mesh.to_nodal_frames(
+        stored_shapes[:, nearest_stored_node_indices]
+    )[:, first_node : first_node + len(whole_structure.nodes.points)]
     is_free_dof = whole_structure.nodes.dofs >= 0
-    mode_shape_rows = np.zeros((len(omegas), whole_structure.n_local))
-    mode_shape_rows[:, whole_structure.nodes.dofs[is_free_dof] - whole_structure.first_dof] = (
-        local_shapes[:, is_free_dof]
-    )
-    return Modes(omegas, mode_shape_rows.T, whole_structure)
+    mode_shapes_at_local_dofs = np.zeros((len(omegas), whole_structure.n_local))
+    mode_shapes_at_local_dofs[
+        :, whole_structure.nodes.dofs[is_free_dof] - whole_structure.first_dof
+    ] = nodal_shapes_of_rank[:, is_free_dof]
+    return Modes(omegas, mode_shapes_at_local_dofs.T, whole_structure)
 
 
-def _find_node_positions_and_midpoints(nodal_mesh: NodalMesh) -> np.ndarray:
+def _node_positions_and_mean_cell_midpoints(nodal_mesh: NodalMesh) -> np.ndarray:
     """Return each node's position, and the mean midpoint of the cells around: (n, 2 d) [m].
 
     d is the dimension. Nodes at the same place on opposite crack faces differ in the midpoint.
     """
     midpoint_sums = np.zeros_like(nodal_mesh.points)
-    cell_counts = np.zeros((len(nodal_mesh.points), 1))
+    n_cells_at_node = np.zeros((len(nodal_mesh.points), 1))
     cell_midpoints = nodal_mesh.points[nodal_mesh.cells].mean(axis=1)
-    for cell_corner_nodes in nodal_mesh.cells.T:
-        np.add.at(midpoint_sums, cell_corner_nodes, cell_midpoints)
-        np.add.at(cell_counts, cell_corner_nodes, 1.0)
-    return np.hstack([nodal_mesh.points, midpoint_sums / cell_counts])
+    for nth_node_of_each_cell in nodal_mesh.cells.T:
+        np.add.at(midpoint_sums, nth_node_of_each_cell, cell_midpoints)
+        np.add.at(n_cells_at_node, nth_node_of_each_cell, 1.0)
+    return np.hstack([nodal_mesh.points, midpoint_sums / n_cells_at_node])
 
 
 # --- solutions ------------------------------------------------------------------------------------
@@ -312,11 +312,14 @@ def _unpack_solution(
     """Return a solution from datasets after checking shapes and law (collective)."""
     gap_coefficients = datasets["gap_coefficients"]
     coefficient_shape = len(gap_coefficients) | 1, gap_coefficients.shape[-1]
-    wave_dataset_names = "gap_coefficients", "force_coefficients"
+    gap_and_force_dataset_names = "gap_coefficients", "force_coefficients"
     check_shapes(
         datasets,
         dict.fromkeys(
-            [*wave_dataset_names, *(f"tangential_{name}" for name in wave_dataset_names)],
+            [
+                *gap_and_force_dataset_names,
+                *(f"tangential_{name}" for name in gap_and_force_dataset_names),
+            ],
             coefficient_shape,
         ),
     )
@@ -363,19 +366,19 @@ def rebuild_solution(
     if not omega >= 0.0 or subharmonic < 1:
         raise ValueError("its omega is negative, or its subharmonic below 1")
     tangential_force_coefficients = datasets.get("tangential_force_coefficients")
-    all_force_coefficients = (
+    normal_and_tangential_coefficients = (
         force_coefficients
         if tangential_force_coefficients is None
         else np.hstack([force_coefficients, tangential_force_coefficients])
     )
-    structure_with_rows = add_contact_rows(contact, structure)
+    structure_with_contact_rows = add_pair_for_each_contact_force(contact, structure)
     compliance_model = make_compliance_model(
-        structure_with_rows, omega / subharmonic, len(gap_coefficients) // 2, subharmonic
+        structure_with_contact_rows, omega / subharmonic, len(gap_coefficients) // 2, subharmonic
     )
-    row_force_coefficients = split_rows_of_pairs(contact, gap_coefficients, all_force_coefficients)[
-        1
-    ]
-    displacement_coefficients = compliance_model.displacement(row_force_coefficients)
+    contact_row_force_coefficients = split_pairs_into_layers(
+        contact, gap_coefficients, normal_and_tangential_coefficients
+    )[1]
+    displacement_coefficients = compliance_model.displacement(contact_row_force_coefficients)
     compliance_model.destroy()
     solution = unpack_dataclass(
         PeriodicSolution,
@@ -427,14 +430,14 @@ def _check_gap_coefficients(
         Allowed difference, relative to the norm of the gaps without clearance. Rounding of a common
         motion of both crack faces is added.
     """
-    closing_coefficients = structure.apply_bt(displacement_coefficients)
+    recomputed_gap_coefficients = structure.apply_bt(displacement_coefficients)
     displacement_sizes = structure.sum_over_ranks(
         np.abs(displacement_coefficients) @ abs(structure.gap)
     )
-    difference_tolerance = tolerance * np.linalg.norm(closing_coefficients)
-    difference_tolerance += NEGLIGIBLE * np.linalg.norm(displacement_sizes)
-    closing_coefficients[0] -= structure.clearance
-    difference_norm = np.linalg.norm(closing_coefficients - gap_coefficients)
+    difference_tolerance = tolerance * np.linalg.norm(recomputed_gap_coefficients)
+    difference_tolerance += STIFFNESS_SOLUTION_ROUNDING * np.linalg.norm(displacement_sizes)
+    recomputed_gap_coefficients[0] -= structure.clearance
+    difference_norm = np.linalg.norm(recomputed_gap_coefficients - gap_coefficients)
     if not difference_norm <= difference_tolerance:  # nan neither
         raise InputError(
             "structure", "another load, mesh or material", ORIGINAL_STRUCTURE_REQUIREMENT
@@ -453,19 +456,23 @@ def _pack_curve(curve: ResponseCurve) -> Datasets:
     special_points = curve.at_bifurcations.part(slice(1, -1))
     datasets = pack_dataclass(curve, *_FIELDS_NOT_STORED, "points")
     datasets["kinds"] = [bifurcation.kind for bifurcation in curve.bifurcations]
-    point_datasets = {"values": special_points.values, "omega": special_points.omega}
+    special_point_datasets = {"values": special_points.values, "omega": special_points.omega}
     if curve.exact:
         datasets |= _pack_orbit_displacements_and_velocities(curve) | {
             "couplings": _stack_gap_and_load_rows(curve.structure)
         }
-        point_datasets |= _pack_orbit_displacements_and_velocities(special_points) | {
+        special_point_datasets |= _pack_orbit_displacements_and_velocities(special_points) | {
             "multipliers": special_points.multipliers
         }
     else:
-        datasets |= {"unknowns": curve.points, "undecided": curve.undecided}
-        point_datasets |= {str(index): point for index, point in enumerate(special_points.points)}
+        datasets |= {"unknowns": curve.points, "undecided": curve.is_undecided}
+        special_point_datasets |= {
+            str(special_point_index): special_point
+            for special_point_index, special_point in enumerate(special_points.points)
+        }
     datasets |= {
-        f"bifurcation_{name}": point_dataset for name, point_dataset in point_datasets.items()
+        f"bifurcation_{name}": special_point_dataset
+        for name, special_point_dataset in special_point_datasets.items()
     }
     return datasets | _law_datasets(curve.contact, curve.structure)
 
@@ -488,10 +495,10 @@ def _pack_orbit_displacements_and_velocities(curve: ResponseCurve) -> Datasets:
         modal_state, sticking_gap = np.split(orbit_state, [2 * mode_shapes.shape[1]])
         dof_states.append(modal_state.reshape(2, -1) @ mode_shapes.T)
         sticking_gaps.append(sticking_gap)
-    structure, n_points = curve.structure, len(curve)
-    state_datasets = {"states": np.reshape(dof_states, (n_points, 2, structure.n_dofs))}
+    structure, n_curve_points = curve.structure, len(curve)
+    state_datasets = {"states": np.reshape(dof_states, (n_curve_points, 2, structure.n_dofs))}
     if friction_of(curve.contact) is not None:
-        state_datasets["places"] = np.reshape(sticking_gaps, (n_points, structure.n_pairs))
+        state_datasets["places"] = np.reshape(sticking_gaps, (n_curve_points, structure.n_pairs))
     return state_datasets
 
 
@@ -590,10 +597,10 @@ def _unpack_exact_points(
     check_shapes(datasets, shape_by_name)
     known_fields: Datasets = {"structure": structure, "contact": contact, "bifurcations": ()}
     curve = unpack_dataclass(ResponseCurve, datasets, **known_fields, points=datasets["states"])
-    states, special_states = (
+    modal_states_of_curve_points, special_states = (
         _unpack_states_by_mode(datasets, prefix, curve, dof_signs) for prefix in count_by_prefix
     )
-    curve = replace(curve, points=states)
+    curve = replace(curve, points=modal_states_of_curve_points)
     if not curve.orbit(0).residual <= 1e-4:  # nan neither
         raise InputError(
             "structure", "another load, mesh or material", ORIGINAL_STRUCTURE_REQUIREMENT
@@ -637,15 +644,20 @@ def _unpack_balance_points(
         The first solution's displacement, computed anew, gives other gaps than the file. A relative
         difference of 1e-4 is allowed.
     """
-    special_dataset_names = [f"bifurcation_{index}" for index in range(len(datasets["kinds"]))]
+    special_point_dataset_names = [
+        f"bifurcation_{index}" for index in range(len(datasets["kinds"]))
+    ]
     unknowns = datasets["unknowns"]
-    n_pairs = add_contact_rows(contact, structure).n_pairs
+    n_pairs = add_pair_for_each_contact_force(contact, structure).n_pairs
     _check_n_pairs(n_pairs, unknowns)
     shape_by_name["unknowns"] = count_by_prefix[""], unknowns.shape[1] | 1, n_pairs
-    shape_by_name |= {name: (len(datasets[name]) | 1, n_pairs) for name in special_dataset_names}
+    shape_by_name |= {
+        name: (len(datasets[name]) | 1, n_pairs) for name in special_point_dataset_names
+    }
     check_shapes(datasets, shape_by_name)
     special_unknowns = [
-        resize_harmonics(datasets[name], unknowns.shape[1] // 2) for name in special_dataset_names
+        resize_harmonics(datasets[name], unknowns.shape[1] // 2)
+        for name in special_point_dataset_names
     ]
     if "undecided" in datasets:  # of earlier versions, whose multiplier decides nothing there
         datasets["multipliers"] = np.where(datasets["undecided"], np.nan, datasets["multipliers"])
@@ -683,11 +695,13 @@ def _unpack_states_by_mode(
         all_modes(curve.problem_at(parameter_value).structure).shapes_inverse
         for parameter_value in parameter_values.tolist()
     )
-    state_rows = zip(inverse_shape_matrices, dof_states, sticking_gaps, strict=True)
+    matrices_states_and_sticking_gaps = zip(
+        inverse_shape_matrices, dof_states, sticking_gaps, strict=True
+    )
     return np.array(
         [
-            np.append((dof_state @ inverse_shapes.T).ravel(), sticking_gap)
-            for inverse_shapes, dof_state, sticking_gap in state_rows
+            np.append((state_of_all_dofs @ inverse_shapes.T).ravel(), sticking_gap)
+            for inverse_shapes, state_of_all_dofs, sticking_gap in matrices_states_and_sticking_gaps
         ]
     )
 
@@ -754,17 +768,17 @@ def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray
     ``stored_rows`` are the file's rows of :func:`_stack_gap_and_load_rows`. InputError if the load
     or the pairs differ by more than 1e-6, relative to a row's maximum.
     """
-    structure_rows = _stack_gap_and_load_rows(structure)
-    if stored_rows.shape != structure_rows.shape:
+    gap_and_load_rows = _stack_gap_and_load_rows(structure)
+    if stored_rows.shape != gap_and_load_rows.shape:
         sizes_text = f"{structure.n_local} dofs, {structure.n_pairs} pairs"
         n_pairs = len(stored_rows) - len(structure.force)
         requirement_text = (
             f"the structure of the file, with {stored_rows.shape[1]} dofs and {n_pairs} pairs"
         )
         raise InputError("structure", sizes_text, requirement_text)
-    dof_signs = np.where((stored_rows * structure_rows).sum(axis=0) < 0.0, -1.0, 1.0)
+    dof_signs = np.where((stored_rows * gap_and_load_rows).sum(axis=0) < 0.0, -1.0, 1.0)
     row_maxima = np.abs(stored_rows).max(axis=1, initial=0.0, keepdims=True)
-    if np.any(np.abs(stored_rows - structure_rows * dof_signs) > 1e-6 * row_maxima):
+    if np.any(np.abs(stored_rows - gap_and_load_rows * dof_signs) > 1e-6 * row_maxima):
         raise InputError("structure", "other load or pairs", ORIGINAL_STRUCTURE_REQUIREMENT)
     return dof_signs
 
@@ -790,12 +804,12 @@ def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
     }
     if contact is not None and "law_sharpness" not in datasets and not is_unilateral(contact):
         with np.errstate(all="ignore"):  # gaps far from the structure's
-            summed_force = contact.force(
+            force_summed_over_pairs = contact.force(
                 np.outer(LAW_COMPARISON_GAPS, np.ones(structure.n_pairs))
             ).sum(axis=1)
-        datasets["law_force"] = np.nan_to_num(summed_force, posinf=MAX_ALLOWED_MAGNITUDE).clip(
-            -MAX_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE
-        )
+        datasets["law_force"] = np.nan_to_num(
+            force_summed_over_pairs, posinf=MAX_ALLOWED_MAGNITUDE
+        ).clip(-MAX_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE)
     return {"law": type(contact).__name__, **datasets}
 
 
@@ -812,8 +826,8 @@ def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -
         for dataset_name in dataset_names
         if dataset_name in datasets
     }
-    law_force = law_datasets.pop("law_force", None)
-    stored_force = stored_datasets.pop("law_force", None)
+    given_law_forces = law_datasets.pop("law_force", None)
+    stored_law_forces = stored_datasets.pop("law_force", None)
     has_same_names = (
         law_datasets.keys() == stored_datasets.keys()
         and law_datasets["law"] == stored_datasets["law"]
@@ -824,7 +838,9 @@ def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -
         if dataset_name != "law"
     ):
         raise InputError("contact", law_datasets, f"the law of the file, {stored_datasets}")
-    if stored_force is not None and not np.allclose(law_force, stored_force, rtol=1e-9, atol=0.0):
+    if stored_law_forces is not None and not np.allclose(
+        given_law_forces, stored_law_forces, rtol=1e-9, atol=0.0
+    ):
         raise InputError(
             "contact", contact, "the law of the file: at the same gaps this law gives other forces"
         )

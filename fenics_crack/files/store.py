@@ -186,17 +186,19 @@ def attribute_texts(file: h5py.File) -> dict[str, str]:
     return text_by_name
 
 
-def locate_column(dataset: h5py.Dataset) -> Column:
+def locate_dataset_in_file(dataset: h5py.Dataset) -> DatasetLocation:
     """Return type, shape and offset in the file for a sweep's dataset.
 
     The offset [byte] is needed since the sweep's numbers are written later, without HDF5.
     """
-    return Column(dataset.dtype, dataset.shape, dataset.id.get_offset())
+    return DatasetLocation(dataset.dtype, dataset.shape, dataset.id.get_offset())
 
 
-def column_texts(columns: Mapping[str, Column]) -> dict[str, str]:
+def dataset_location_texts(
+    location_by_dataset_name: Mapping[str, DatasetLocation],
+) -> dict[str, str]:
     """Return type, shape and offset for a sweep's datasets as texts by name."""
-    return {name: str(column) for name, column in columns.items()}
+    return {name: str(location) for name, location in location_by_dataset_name.items()}
 
 
 def content_digest(attributes: Mapping[str, str], datasets: Mapping[str, Any]) -> str:
@@ -210,12 +212,12 @@ def content_digest(attributes: Mapping[str, str], datasets: Mapping[str, Any]) -
         Texts by attribute name, from :func:`attribute_texts`.
     datasets : mapping
         Datasets by name: arrays, numbers, words; None is left out. For a sweep:
-        :func:`column_texts`.
+        :func:`dataset_location_texts`.
     """
     hash_object = hashlib.sha256()
-    for name, text in sorted(attributes.items()):
+    for name, attribute_text in sorted(attributes.items()):
         if name != "digest":
-            hash_object.update(json.dumps([name, text]).encode())
+            hash_object.update(json.dumps([name, attribute_text]).encode())
     for name, content in sorted(datasets.items()):
         if content is None:
             continue
@@ -232,7 +234,7 @@ def content_digest(attributes: Mapping[str, str], datasets: Mapping[str, Any]) -
 
 
 @dataclass(frozen=True)
-class Column:
+class DatasetLocation:
     """Hold type, shape and offset [byte] for a dataset filled in later."""
 
     dtype: np.dtype[Any]
@@ -284,7 +286,7 @@ class StoredFile:
     path: Path
     attributes: dict[str, str]
     datasets: dict[str, Any]
-    columns: dict[str, Column]
+    columns: dict[str, DatasetLocation]
 
     @property
     def kind(self) -> str:
@@ -338,7 +340,7 @@ class StoredFile:
             raise self.refusal(f"a file with a {kind}; it holds a {self.kind}")
 
     @contextlib.contextmanager
-    def yield_checked_datasets(self) -> Iterator[dict[str, Any]]:
+    def yield_datasets_with_valid_numbers(self) -> Iterator[dict[str, Any]]:
         """Check the numbers, and yield the datasets as a new dict (context manager).
 
         InputError if :func:`check_arrays` refuses the numbers. Also if the code in the ``with``
@@ -365,7 +367,7 @@ class StoredFile:
         if stored_digest is None:
             raise self._older_version_error("a checksum")
         if (
-            content_digest(self.attributes, self.datasets or column_texts(self.columns))
+            content_digest(self.attributes, self.datasets or dataset_location_texts(self.columns))
             != stored_digest
         ):
             raise self.refusal("a whole file; this one is damaged: compute it again")
@@ -444,19 +446,23 @@ def _read_and_check_result_file(path: Path) -> StoredFile:
 def _stored_file_from_arrays(path: Path, array_by_name: Mapping[str, np.ndarray]) -> StoredFile:
     """Return a file's contents from the arrays of ``h5_reader.read``."""
     contents = json.loads(str(array_by_name["head"]))
-    array_by_dataset_name = {
+    stored_array_by_dataset_name = {
         name: array_by_name[f"arr_{array_index}"]
         for array_index, name in enumerate(contents["arrays"])
     }
     array_or_number_by_name = {
-        name: array if array.ndim else array.item() for name, array in array_by_dataset_name.items()
+        name: array if array.ndim else array.item()
+        for name, array in stored_array_by_dataset_name.items()
     }
-    column_by_name = {
-        name: Column(np.dtype(dtype_text), tuple(shape), offset)
+    location_by_dataset_name = {
+        name: DatasetLocation(np.dtype(dtype_text), tuple(shape), offset)
         for name, (dtype_text, shape, offset) in contents["columns"].items()
     }
     return StoredFile(
-        path, contents["attributes"], contents["words"] | array_or_number_by_name, column_by_name
+        path,
+        contents["attributes"],
+        contents["words"] | array_or_number_by_name,
+        location_by_dataset_name,
     )
 
 
@@ -465,12 +471,12 @@ def check_shapes(datasets: Mapping[str, Any], shape_by_name: Mapping[str, tuple[
 
     -1 in a required shape allows any length. A name without a dataset is not checked.
     """
-    for name, shape in shape_by_name.items():
-        stored_shape = np.shape(datasets[name]) if name in datasets else shape
-        has_same_dimension = len(stored_shape) == len(shape)
+    for name, required_shape in shape_by_name.items():
+        stored_shape = np.shape(datasets[name]) if name in datasets else required_shape
+        has_same_dimension = len(stored_shape) == len(required_shape)
         if not has_same_dimension or any(
-            length not in (-1, stored_length)
-            for length, stored_length in zip(shape, stored_shape, strict=True)
+            required_length not in (-1, stored_length)
+            for required_length, stored_length in zip(required_shape, stored_shape, strict=True)
         ):
             raise ValueError(f"its entry '{name}' has the wrong shape")
 
@@ -508,14 +514,14 @@ def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
     named_key_path_pairs = file_keys_and_paths(scene)
     # A named file of dofs takes the place of the file beside the matrices.
     has_named_dofs = any(key == "structure.dofs" for key, _ in named_key_path_pairs)
-    included_key_path_pairs = [
-        (key, str(included_path))
+    key_path_pairs_of_referenced_files = [
+        (key, str(referenced_file_path))
         for key, path in named_key_path_pairs
-        for included_path in list_included_files(Path(path))
+        for referenced_file_path in list_included_files(Path(path))
     ]
     return named_key_path_pairs + [
         key_path_pair
-        for key_path_pair in included_key_path_pairs
+        for key_path_pair in key_path_pairs_of_referenced_files
         if not (has_named_dofs and key_path_pair[1].endswith(".dof"))
     ]
 
@@ -539,7 +545,7 @@ def _file_digest(path: str) -> str:
 # --- results that need no structure ---------------------------------------------------------------
 
 
-class SavedResult(Tabular):
+class SavableResult(Tabular):
     """Base class for a result with a scene that can be saved without a structure.
 
     Subclasses are frozen dataclasses with a class variable ``KIND``, the kind of contents in a
@@ -579,7 +585,7 @@ class SavedResult(Tabular):
         Raises as :meth:`load`.
         """
         stored_file.check_kind(cls.KIND)
-        with stored_file.yield_checked_datasets() as datasets:
+        with stored_file.yield_datasets_with_valid_numbers() as datasets:
             result = cls._unpack_fields(datasets, stored_file.scene())
             repr(result), result.table()  # whose columns are of one length
             return result

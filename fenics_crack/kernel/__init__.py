@@ -109,26 +109,28 @@ class Struct:
 
     def __init__(self, struct_type: str, **members: Any) -> None:
         self._value_by_member = members
-        c_members = {name: _as_c_member(member) for name, member in members.items()}
-        self.address = ffi.new(f"{struct_type} *", c_members)
+        c_value_by_member_name = {
+            name: _as_c_member(member_value) for name, member_value in members.items()
+        }
+        self.address = ffi.new(f"{struct_type} *", c_value_by_member_name)
 
     def with_members(self, **members: Any) -> Struct:
         """Return a copy with changed values of the given members, quicker than a new struct."""
         copy = Struct.__new__(Struct)
         copy._value_by_member = self._value_by_member | members
         copy.address = ffi.new(ffi.typeof(self.address), self.address[0])
-        for name, member in members.items():
-            setattr(copy.address, name, _as_c_member(member))
+        for name, member_value in members.items():
+            setattr(copy.address, name, _as_c_member(member_value))
         return copy
 
 
-def _as_c_member(member: Any) -> Any:
+def _as_c_member(member_value: Any) -> Any:
     """Convert a member's value for cffi: array to pointer, Struct to C struct, None to NULL."""
-    if isinstance(member, np.ndarray):
-        return pointer(member)
-    if isinstance(member, Struct):
-        return member.address[0]
-    return NULL if member is None else member
+    if isinstance(member_value, np.ndarray):
+        return pointer(member_value)
+    if isinstance(member_value, Struct):
+        return member_value.address[0]
+    return NULL if member_value is None else member_value
 
 
 _bind_lapack()

@@ -63,7 +63,7 @@ def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
     otherwise absolute. ``sanitize`` adds checks of addresses and undefined behaviour.
     """
     headers = sort_headers(sorted(KERNEL_FOLDER.glob("*.h")))
-    sources = sorted(KERNEL_FOLDER.glob("*.c"))
+    source_paths = sorted(KERNEL_FOLDER.glob("*.c"))
     is_kernel_inside_folder = KERNEL_FOLDER.is_relative_to(folder)
     source_folder = KERNEL_FOLDER.relative_to(folder) if is_kernel_inside_folder else KERNEL_FOLDER
     ffi, sanitizer_flags = FFI(), SANITIZER_FLAGS if sanitize else []
@@ -75,7 +75,7 @@ def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
         "\n".join(
             [*(f'#include "{header.name}"' for header in headers), UNOPTIMISED_WRAPPERS_PRAGMA]
         ),
-        sources=[str(source_folder / source_path.name) for source_path in sources],
+        sources=[str(source_folder / source_path.name) for source_path in source_paths],
         include_dirs=[str(source_folder)],
         depends=[str(source_folder / header.name) for header in headers],
         extra_compile_args=[*COMPILER_FLAGS, *sanitizer_flags],

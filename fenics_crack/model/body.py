@@ -14,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.model.matrices import ReadOnlyArrays, read_only_csr_matrix
-from fenics_crack.model.nodes import Clamp, Nodes, Pairs
+from fenics_crack.model.nodes import ClampReactionData, Nodes, Pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,7 @@ class Body(ReadOnlyArrays):
     """Constant data of a structure: matrices, load, gaps; arrays are read-only.
 
     The fields are the attributes of :class:`Structure`, before the factors and the added clearance
-    of a :class:`Setting`. The load includes the mean load due to rotation.
+    of a :class:`LoadDampingClearanceSetting`. The load includes the mean load due to rotation.
     """
 
     mass: Any
@@ -35,12 +35,12 @@ class Body(ReadOnlyArrays):
     nodes: Nodes | None = None
     pairs: Pairs = field(default_factory=Pairs)
     watched: np.ndarray | None = None
-    clamp: Clamp | None = None
+    clamp: ClampReactionData | None = None
     rotation: Any = None
     comm: MPI.Comm = None
     result_cache: dict[Callable[..., Any], Any] = field(default_factory=dict)
     """Results of :meth:`Structure.compute_once`; the key is the function that computes them."""
-    matrix_cache: dict[Callable[..., Any], Any] = field(default_factory=dict)
+    cache_of_matrix_results: dict[Callable[..., Any], Any] = field(default_factory=dict)
     """Results that depend on mass, stiffness and pairs alone; the key is their function.
 
     Bodies with the same matrices and pairs share this dictionary.
@@ -50,8 +50,8 @@ class Body(ReadOnlyArrays):
         if self.comm is None:
             object.__setattr__(self, "comm", self.mass.comm.tompi4py())
         for field_name in ("gap", "tangential"):
-            if (sparse_rows_or_none := getattr(self, field_name)) is not None:
-                object.__setattr__(self, field_name, read_only_csr_matrix(sparse_rows_or_none))
+            if (gap_matrix_or_none := getattr(self, field_name)) is not None:
+                object.__setattr__(self, field_name, read_only_csr_matrix(gap_matrix_or_none))
         super().__post_init__()
 
 
@@ -64,32 +64,35 @@ FIELD_NAMES_THAT_KEEP_MATRIX_CACHE = {
     "watched",
     "tangential",
 }
-"""Attributes of a body whose change leaves the results in :attr:`Body.matrix_cache` valid."""
+"""Attributes of a body that :attr:`Body.cache_of_matrix_results` does not depend on."""
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class LoadDampingClearanceSetting:
     """Changes by which a copy of a structure differs: load, damping, clearance, watched dof.
 
     Attributes
     ----------
     load_weights : float or (2K+1, 2K+1)
         Factor of the load, or matrix that maps the load's rows (mean, cosine and sine parts).
-    damping_factor : float
+    damping_multiplier : float
         Factor of the damping.
     added_clearance : float or (n_pairs,) [m]
         Clearance added to each pair.
     watched_dof : int or None
         Dof that results report if no dof is named, by its number in the whole structure. None: the
-        body's ``watched``, else the load, selects the dof (:attr:`Coordinates.watched_dof`).
+        body's ``watched``, else the load, selects the dof
+        (:attr:`DofsAndContactPairs.watched_dof`).
     """
 
     load_weights: float | np.ndarray = 1.0
-    damping_factor: float = 1.0
+    damping_multiplier: float = 1.0
     added_clearance: float | np.ndarray = 0.0
     watched_dof: int | None = None
 
-    def combine_with(self, later_setting: Setting) -> Setting:
+    def combine_with(
+        self, later_setting: LoadDampingClearanceSetting
+    ) -> LoadDampingClearanceSetting:
         """Combine this setting with a later one: factors multiply, clearances add.
 
         The watched dof is the later one, unless it is None.
@@ -98,10 +101,12 @@ class Setting:
             self.watched_dof if later_setting.watched_dof is None else later_setting.watched_dof
         )
         load_weights = np.dot(later_setting.load_weights, self.load_weights)
-        damping_factor = later_setting.damping_factor * self.damping_factor
+        damping_factor = later_setting.damping_multiplier * self.damping_multiplier
         added_clearance = later_setting.added_clearance + self.added_clearance
-        return Setting(load_weights, damping_factor, added_clearance, watched_dof)
+        return LoadDampingClearanceSetting(
+            load_weights, damping_factor, added_clearance, watched_dof
+        )
 
 
-DEFAULT_SETTING = Setting()
+SETTING_WITHOUT_CHANGES = LoadDampingClearanceSetting()
 """Setting of a new structure: factors of 1, no added clearance, and no chosen watched dof."""

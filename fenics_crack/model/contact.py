@@ -29,8 +29,8 @@ linear is solved by Newton's method at all instants together.
 
 A convex piecewise-linear law is a sum of penalties with clearances of their own. Each penalty is a
 row: the layered law has the gap rows B twice, with the clearances g0 and g0 + p and the stiffnesses
-a k and (1 - a) k. With friction, tangential gaps are rows. :func:`add_contact_rows` makes the rows,
-and :func:`merge_rows_of_pairs` returns from rows to pairs.
+a k and (1 - a) k. With friction, tangential gaps are rows. :func:`add_pair_for_each_contact_force`
+makes the rows, and :func:`merge_layers_of_pairs` returns from rows to pairs.
 
 A step of time integration solves the same problem. D is then the compliance of the step, and s the
 gap that the step would reach without contact forces.
@@ -55,7 +55,7 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.machine import machine_memory
 from fenics_crack.kernel import attach_destructor, kernel, pointer, require_shape
-from fenics_crack.model.matrices import floats_or_nan
+from fenics_crack.model.matrices import floats_or_single_nan
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import CENTRAL_DIFFERENCE_STEP, MACHINE_EPSILON, ROUNDING
 
@@ -186,9 +186,9 @@ class LayeredPenalty(_PenaltyBase):
 
         A gap g > 0 is penetration. The class has the equation.
         """
-        layer_stiffness, deep_stiffness = self.row_stiffnesses
-        layer_force = layer_stiffness * np.maximum(gap, 0.0)
-        return layer_force + deep_stiffness * np.maximum(gap - self.layer_depth, 0.0)
+        soft_layer_stiffness, deep_stiffness = self.row_stiffnesses
+        soft_layer_force = soft_layer_stiffness * np.maximum(gap, 0.0)
+        return soft_layer_force + deep_stiffness * np.maximum(gap - self.layer_depth, 0.0)
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
         """Return the slopes d lambda / d g [N/m] of the contact forces lambda: the shape of g.
@@ -196,8 +196,8 @@ class LayeredPenalty(_PenaltyBase):
         Gaps g are (..., n_pairs) [m]. The slope is 0 in an open pair, a k in the layer, and k below
         the layer. k is the law's stiffness and a the layer's share.
         """
-        layer_stiffness, deep_stiffness = self.row_stiffnesses
-        return layer_stiffness * (gap > 0.0) + deep_stiffness * (gap > self.layer_depth)
+        soft_layer_stiffness, deep_stiffness = self.row_stiffnesses
+        return soft_layer_stiffness * (gap > 0.0) + deep_stiffness * (gap > self.layer_depth)
 
 
 @dataclass(frozen=True)
@@ -393,7 +393,7 @@ def normal_law(contact: ContactLaw) -> ContactLaw:
     return contact.law if isinstance(contact, CoulombFriction) else contact
 
 
-def with_penalty(contact: ContactLaw, stiffness: float) -> ContactLaw:
+def with_penalty_as_normal_law(contact: ContactLaw, stiffness: float) -> ContactLaw:
     """Replace a law's normal contact by the penalty law with a stiffness [N/m].
 
     Friction, if any, stays.
@@ -402,7 +402,7 @@ def with_penalty(contact: ContactLaw, stiffness: float) -> ContactLaw:
     return replace(contact, law=penalty) if isinstance(contact, CoulombFriction) else penalty
 
 
-def add_contact_rows(contact: object, structure: Structure) -> Structure:
+def add_pair_for_each_contact_force(contact: object, structure: Structure) -> Structure:
     """Return a structure with one contact pair for each scalar contact force of a law.
 
     With friction, the tangential gaps are added as further pairs, after the normal gaps. Under the
@@ -410,13 +410,13 @@ def add_contact_rows(contact: object, structure: Structure) -> Structure:
     additional clearance. Under any other law, the structure itself is returned.
     """
     if is_layered(contact):
-        return structure.with_doubled_pairs(contact.layer_depth)
+        return structure.with_parallel_copy_of_pairs(contact.layer_depth)
     friction = friction_of(contact)
     return structure if friction is None else structure.with_tangential_pairs(friction.direction)
 
 
 def law_of_rows(contact: ContactLaw, n_pairs: int) -> ContactLaw:
-    """Return the law for the gaps of the structure from :func:`add_contact_rows`.
+    """Return the law for the gaps of the structure from :func:`add_pair_for_each_contact_force`.
 
     Under the layered law, that structure has every pair twice. The result is then the penalty law
     with one stiffness for each copy, (2 n_pairs,). Any other law is returned itself.
@@ -455,7 +455,7 @@ def count_rows_per_pair(contact: object) -> int:
     return 2 if is_layered(contact) or friction_of(contact) is not None else 1
 
 
-def merge_rows_of_pairs(
+def merge_layers_of_pairs(
     contact: object, n_pairs: int, gaps: np.ndarray, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Merge the two springs of each pair under the layered law.
@@ -467,7 +467,7 @@ def merge_rows_of_pairs(
     ----------
     gaps, forces : (n, n_rows) [m], [N]
         Values at n instants, or n Fourier coefficients. The columns are the pairs of the structure
-        from :func:`add_contact_rows`.
+        from :func:`add_pair_for_each_contact_force`.
 
     Returns
     -------
@@ -479,7 +479,7 @@ def merge_rows_of_pairs(
     return gaps[:, :n_pairs], forces.reshape(len(forces), -1, n_pairs).sum(axis=1)
 
 
-def split_rows_of_pairs(
+def split_pairs_into_layers(
     contact: object, gaps: np.ndarray, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return Fourier coefficients for the two springs of each pair under the layered law.
@@ -587,7 +587,7 @@ def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
     law_name = type(law).__name__
     for method_name in ("force", "tangent"):
         try:
-            output_values = floats_or_nan(getattr(law, method_name)(gap))
+            output_values = floats_or_single_nan(getattr(law, method_name)(gap))
         except (ArithmeticError, TypeError, ValueError, IndexError):
             output_values = np.asarray(np.nan)
         if output_values.shape != gap.shape or not np.all(np.isfinite(output_values)):
@@ -598,13 +598,15 @@ def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
     if np.any(output_values < -MACHINE_EPSILON * np.abs(output_values).max(initial=0.0)):
         raise InputError("contact", law_name, "a law whose tangent(gap) is a stiffness >= 0 [N/m]")
     try:
-        half_law = law.scaled(0.5)
-        is_scaled = isinstance(half_law, type(law)) and np.allclose(
-            floats_or_nan(half_law.stiffness), 0.5 * floats_or_nan(law.stiffness), atol=0.0
+        law_with_half_stiffness = law.scaled(0.5)
+        is_stiffness_halved = isinstance(law_with_half_stiffness, type(law)) and np.allclose(
+            floats_or_single_nan(law_with_half_stiffness.stiffness),
+            0.5 * floats_or_single_nan(law.stiffness),
+            atol=0.0,
         )
     except (ArithmeticError, TypeError, ValueError):
-        is_scaled = False
-    if not is_scaled:
+        is_stiffness_halved = False
+    if not is_stiffness_halved:
         requirement = (
             "a law whose scaled(factor) returns a law of the same class, factor times as stiff"
         )
@@ -626,19 +628,22 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
         np.diff(forces, axis=0),
         gap_step * law.tangent(gap),
     )
-    increment_size = np.maximum(
+    force_increment_size = np.maximum(
         np.abs(force_increments).max(axis=0), np.abs(expected_force_increment)
     )
-    slope_excess = np.maximum(
+    force_increment_mismatch = np.maximum(
         force_increments[1:3].min(axis=0) - expected_force_increment,
         expected_force_increment - force_increments[1:3].max(axis=0),
     )
     # The outer increments differ from the inner ones by rounding, or if the slope bends within a
     # step. Differences leave some digits; half of these may be wrong.
-    slope_uncertainty = float(
+    force_increment_uncertainty = float(
         np.abs(force_increments[[0, 3]] - force_increments[[1, 2]]).max(initial=0.0)
     )
-    if np.any(slope_excess > np.sqrt(CENTRAL_DIFFERENCE_STEP) * increment_size + slope_uncertainty):
+    if np.any(
+        force_increment_mismatch
+        > np.sqrt(CENTRAL_DIFFERENCE_STEP) * force_increment_size + force_increment_uncertainty
+    ):
         requirement = "a law whose tangent(gap) is the derivative of force(gap)"
         raise InputError("contact", type(law).__name__, requirement)
 
@@ -650,7 +655,7 @@ def _checked_positive_number(
 
     ``key`` names the number in the error. Only ``allows_array`` lets an array (n,) pass.
     """
-    number_array = floats_or_nan(number)
+    number_array = floats_or_single_nan(number)
     is_all_positive = number_array.size > 0 and np.all(
         np.isfinite(number_array) & (number_array > 0.0)
     )
@@ -692,9 +697,9 @@ class FrictionContactSolver:
         )
         # The kernel does not copy all of these.
         self._kernel_arrays = np.zeros((n_gaps, 1)), compliance_matrix, friction_coefficients
-        max_doubles = int(SETS_MEMORY_FRACTION * machine_memory()) // 8
+        max_numbers_in_memory = int(SETS_MEMORY_FRACTION * machine_memory()) // 8
         raw_handle = kernel.new_closed_sets(
-            1, n_gaps // 2, *map(pointer, self._kernel_arrays), max_doubles
+            1, n_gaps // 2, *map(pointer, self._kernel_arrays), max_numbers_in_memory
         )
         self.handle = attach_destructor(raw_handle, kernel.free_closed_sets)
         """Solver object in the C kernel, freed together with this one."""
@@ -740,7 +745,7 @@ class FrictionContactSolver:
         start_slider_positions = np.array(slider_positions, dtype=float)
         forces, sampled_slider_positions = np.empty_like(gap), np.empty((n_instants, n_gaps // 2))
         pair_states = np.empty(sampled_slider_positions.shape, dtype=np.int8)
-        last_unstuck_instants = np.empty(n_gaps // 2, dtype=np.intc)
+        last_unstuck_instant_by_pair = np.empty(n_gaps // 2, dtype=np.intc)
         array_pointers = map(
             pointer,
             (
@@ -749,14 +754,14 @@ class FrictionContactSolver:
                 forces,
                 pair_states,
                 sampled_slider_positions,
-                last_unstuck_instants,
+                last_unstuck_instant_by_pair,
             ),
         )
         if kernel.march_friction(self.handle, n_instants, max_periods, *array_pointers):
             raise ConvergenceError(
                 "contact: the forces at an instant have no unique solution; lower contact.friction"
             )
-        return forces, pair_states, sampled_slider_positions, last_unstuck_instants
+        return forces, pair_states, sampled_slider_positions, last_unstuck_instant_by_pair
 
 
 SETS_MEMORY_FRACTION = 1 / 32
@@ -1053,16 +1058,19 @@ def solve_contact_forces_by_newton(
         total_gap = slow_gap - force @ compliance
         return (total_gap, *law_force_and_slope_function(total_gap))
 
-    all_forces, unfinished_instants = np.array(guess), np.arange(len(gap))
+    forces_at_all_instants, unfinished_instants = np.array(guess), np.arange(len(gap))
     identity, (reached_gap, law_force, law_slope) = (
         np.eye(gap.shape[1]),
-        gap_law_force_and_slope(all_forces, gap),
+        gap_law_force_and_slope(forces_at_all_instants, gap),
     )
     for _ in range(MAX_SMOOTH_LAW_ITERATIONS):
-        force, unfinished_gap = all_forces[unfinished_instants], gap[unfinished_instants]
+        force, gap_at_unfinished_instants = (
+            forces_at_all_instants[unfinished_instants],
+            gap[unfinished_instants],
+        )
         force_excess = force - law_force
         if not np.any(force_excess):
-            return all_forces
+            return forces_at_all_instants
         try:
             newton_change = -np.linalg.solve(
                 identity + law_slope[:, :, None] * compliance, force_excess[:, :, None]
@@ -1073,33 +1081,45 @@ def solve_contact_forces_by_newton(
         trial_forces = force + newton_change[:, :, 0]
         if not np.all(np.isfinite(trial_forces)):
             break
-        all_forces[unfinished_instants] = trial_forces
-        gap_size = (np.abs(unfinished_gap) + np.abs(unfinished_gap - reached_gap)).max(axis=1)
-        is_still_unfinished = np.abs(gap_change).max(axis=1) > ROUNDING * gap_size
-        if not np.any(is_still_unfinished):
-            return all_forces
-        unfinished_instants = unfinished_instants[is_still_unfinished]
-        force, unfinished_gap = force[is_still_unfinished], unfinished_gap[is_still_unfinished]
-        gap_change = gap_change[is_still_unfinished]
-        slope_tolerance = -0.1 * np.sum(gap_change * force_excess[is_still_unfinished], axis=1)
-        reached_gap, law_force, law_slope = gap_law_force_and_slope(
-            all_forces[unfinished_instants], unfinished_gap
+        forces_at_all_instants[unfinished_instants] = trial_forces
+        gap_size = (
+            np.abs(gap_at_unfinished_instants) + np.abs(gap_at_unfinished_instants - reached_gap)
+        ).max(axis=1)
+        is_instant_unfinished = np.abs(gap_change).max(axis=1) > ROUNDING * gap_size
+        if not np.any(is_instant_unfinished):
+            return forces_at_all_instants
+        unfinished_instants = unfinished_instants[is_instant_unfinished]
+        force, gap_at_unfinished_instants = (
+            force[is_instant_unfinished],
+            gap_at_unfinished_instants[is_instant_unfinished],
         )
-        step_slopes = np.sum(gap_change * (all_forces[unfinished_instants] - law_force), axis=1)
-        is_too_far = (slope_tolerance > 0.0) & (step_slopes > slope_tolerance)
-        if np.any(is_too_far):
-            long_step_instants, start_force = unfinished_instants[is_too_far], force[is_too_far]
-            force_step = all_forces[long_step_instants] - start_force
+        gap_change = gap_change[is_instant_unfinished]
+        slope_tolerance = -0.1 * np.sum(gap_change * force_excess[is_instant_unfinished], axis=1)
+        reached_gap, law_force, law_slope = gap_law_force_and_slope(
+            forces_at_all_instants[unfinished_instants], gap_at_unfinished_instants
+        )
+        step_slopes = np.sum(
+            gap_change * (forces_at_all_instants[unfinished_instants] - law_force), axis=1
+        )
+        is_step_too_long_at_instant = (slope_tolerance > 0.0) & (step_slopes > slope_tolerance)
+        if np.any(is_step_too_long_at_instant):
+            long_step_instant_indices, force_before_step = (
+                unfinished_instants[is_step_too_long_at_instant],
+                force[is_step_too_long_at_instant],
+            )
+            force_step = forces_at_all_instants[long_step_instant_indices] - force_before_step
             step_fractions = _minimising_step_fraction_by_instant(
                 gap_law_force_and_slope,
-                start_force,
+                force_before_step,
                 force_step,
-                unfinished_gap[is_too_far],
-                slope_tolerance[is_too_far],
+                gap_at_unfinished_instants[is_step_too_long_at_instant],
+                slope_tolerance[is_step_too_long_at_instant],
             )
-            all_forces[long_step_instants] = start_force + step_fractions[:, None] * force_step
+            forces_at_all_instants[long_step_instant_indices] = (
+                force_before_step + step_fractions[:, None] * force_step
+            )
             reached_gap, law_force, law_slope = gap_law_force_and_slope(
-                all_forces[unfinished_instants], unfinished_gap
+                forces_at_all_instants[unfinished_instants], gap_at_unfinished_instants
             )
     raise ConvergenceError(
         "contact: Newton's method for a step's forces did not converge; lower contact.stiffness"
@@ -1108,7 +1128,7 @@ def solve_contact_forces_by_newton(
 
 def _minimising_step_fraction_by_instant(
     gap_and_law_force_function: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]],
-    start_force: np.ndarray,
+    force_before_step: np.ndarray,
     force_step: np.ndarray,
     gap: np.ndarray,
     slope_tolerance: np.ndarray,
@@ -1123,7 +1143,7 @@ def _minimising_step_fraction_by_instant(
     gap_and_law_force_function : callable
         Takes contact forces and slow gaps. Returns the gaps [m], and the law's forces [N] at these
         gaps, (n, n_pairs) each.
-    start_force, force_step : (n, n_pairs) [N]
+    force_before_step, force_step : (n, n_pairs) [N]
         Contact forces at the start of each step, and their change by a full step.
     gap : (n, n_pairs) [m]
         Slow gaps: gaps as they would be without contact forces.
@@ -1136,18 +1156,18 @@ def _minimising_step_fraction_by_instant(
         Fractions from 0 to 1.
     """
     gap_change = (
-        gap_and_law_force_function(start_force, gap)[0]
-        - gap_and_law_force_function(start_force + force_step, gap)[0]
+        gap_and_law_force_function(force_before_step, gap)[0]
+        - gap_and_law_force_function(force_before_step + force_step, gap)[0]
     )  # D times the step
-    step_fractions, half_width = np.full(len(start_force), 0.5), 0.5
+    step_fractions, half_width = np.full(len(force_before_step), 0.5), 0.5
     while half_width > MACHINE_EPSILON:
-        trial_forces = start_force + step_fractions[:, None] * force_step
+        trial_forces = force_before_step + step_fractions[:, None] * force_step
         slopes = np.sum(
             gap_change * (trial_forces - gap_and_law_force_function(trial_forces, gap)[1]), axis=1
         )
-        is_steep = np.abs(slopes) > slope_tolerance
-        if not np.any(is_steep):
+        is_slope_above_tolerance = np.abs(slopes) > slope_tolerance
+        if not np.any(is_slope_above_tolerance):
             break
         half_width *= 0.5
-        step_fractions -= np.where(is_steep, np.copysign(half_width, slopes), 0.0)
+        step_fractions -= np.where(is_slope_above_tolerance, np.copysign(half_width, slopes), 0.0)
     return step_fractions

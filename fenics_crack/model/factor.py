@@ -32,7 +32,7 @@ from petsc4py import PETSc
 
 MAX_BLOCK_COLUMNS = 16
 """Maximum number of columns that are solved or multiplied together: PETSc copies them."""
-MATRIX_TOLERANCE = 1e-10
+MATRIX_ZERO_TOLERANCE = 1e-10
 """Relative size that counts as zero in a matrix.
 
 With stiffness K and mass M, it bounds an asymmetry relative to the matrix, a mode's omega^2
@@ -85,15 +85,16 @@ def make_matrix_from_local_rows(rows: Any, comm: MPI.Comm) -> Any:
     rows : (n_local, n)
         Rows of this rank, sparse or dense.
     """
-    coo_rows = sparse.coo_matrix(rows)
-    n_local = coo_rows.shape[0]
+    local_coo_matrix = sparse.coo_matrix(rows)
+    n_local = local_coo_matrix.shape[0]
     diagonal_indices = np.arange(n_local)
     rows_and_columns = (
-        np.append(coo_rows.row, diagonal_indices),
-        np.append(coo_rows.col, (comm.exscan(n_local) or 0) + diagonal_indices),
+        np.append(local_coo_matrix.row, diagonal_indices),
+        np.append(local_coo_matrix.col, (comm.exscan(n_local) or 0) + diagonal_indices),
     )
     completed_rows = sparse.csr_matrix(
-        (np.append(coo_rows.data, 0.0 * diagonal_indices), rows_and_columns), coo_rows.shape
+        (np.append(local_coo_matrix.data, 0.0 * diagonal_indices), rows_and_columns),
+        local_coo_matrix.shape,
     )
     return make_square_petsc_matrix(completed_rows, comm)
 
@@ -105,24 +106,24 @@ def make_square_petsc_matrix(local_csr_rows: sparse.csr_matrix, comm: MPI.Comm) 
     """
     n_local, n_columns = local_csr_rows.shape
     row_and_column_sizes = ((n_local, PETSc.DETERMINE), (n_local, n_columns))
-    matrix = PETSc.Mat().createAIJ(
+    petsc_matrix = PETSc.Mat().createAIJ(
         row_and_column_sizes,
         csr=(local_csr_rows.indptr, local_csr_rows.indices, local_csr_rows.data),
         comm=comm,
     )
-    matrix.assemble()
-    return matrix
+    petsc_matrix.assemble()
+    return petsc_matrix
 
 
 def local_rows(matrix: Any) -> sparse.csr_matrix:
     """Return this rank's rows of a PETSc matrix: (n_local, n)."""
-    row_starts, column_indices, entries = matrix.getValuesCSR()
+    csr_row_pointers, column_indices, entries = matrix.getValuesCSR()
     return sparse.csr_matrix(
-        (entries, column_indices, row_starts), (matrix.local_size[0], matrix.size[1])
+        (entries, column_indices, csr_row_pointers), (matrix.local_size[0], matrix.size[1])
     )
 
 
-def weighted_sum(matrix: Any, weight: float, added_matrix: Any) -> Any:
+def matrix_plus_weighted_matrix(matrix: Any, weight: float, added_matrix: Any) -> Any:
     """Return the PETSc matrix ``matrix + weight * added_matrix`` (collective).
 
     The patterns of nonzero entries may differ.
@@ -208,8 +209,8 @@ class Factor:
         ):  # no warning for each zero pivot; PETSc reads one of both options
             default_options = {PRINT_OPTION: 0, OPTIONS_PREFIX + PRINT_OPTION: 0}
         elif package_name == "mumps":
-            n_nonzeros = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-            if n_nonzeros < MIN_SOLID_ROW_ENTRIES * self._matrix.size[0]:
+            n_matrix_nonzeros = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+            if n_matrix_nonzeros < MIN_SOLID_ROW_ENTRIES * self._matrix.size[0]:
                 # Minimum fill; setMumpsIcntl does not last.
                 default_options = {OPTIONS_PREFIX + ORDERING_OPTION: 2}
         default_options = {
@@ -313,7 +314,7 @@ def factored_sum(matrix: Any, weight: float, added_matrix: Any, **options: Any) 
     ``options`` are keyword arguments of :class:`Factor`. Sum and factor are freed at the end of the
     context.
     """
-    matrix_sum = weighted_sum(matrix, weight, added_matrix)
+    matrix_sum = matrix_plus_weighted_matrix(matrix, weight, added_matrix)
     with Factor(matrix_sum, **options) as factored_matrix:
         yield factored_matrix
     matrix_sum.destroy()
@@ -327,13 +328,13 @@ def _make_saddle_point_matrix(matrix: Any, border: sparse.spmatrix) -> Any:
     """
     comm, n_border = matrix.comm.tompi4py(), border.shape[1]
     border_scale = matrix.norm(PETSc.NormType.INFINITY) or 1.0
-    bordered_rows = sparse.hstack([local_rows(matrix), border_scale * border])
+    local_saddle_point_rows = sparse.hstack([local_rows(matrix), border_scale * border])
     border_everywhere = sparse.vstack(comm.allgather(border), "csr")
     if comm.rank == comm.size - 1:
-        bordered_rows = sparse.vstack(
+        local_saddle_point_rows = sparse.vstack(
             [
-                bordered_rows,
+                local_saddle_point_rows,
                 sparse.hstack([border_scale * border_everywhere.T, np.zeros((n_border, n_border))]),
             ]
         )
-    return make_matrix_from_local_rows(bordered_rows, comm)
+    return make_matrix_from_local_rows(local_saddle_point_rows, comm)

@@ -24,19 +24,19 @@ from fenics_crack.basics.errors import (
 from fenics_crack.basics.ranks import call_on_each_rank, gather_rows
 from fenics_crack.basics.tables import format_count
 from fenics_crack.model.factor import (
-    MATRIX_TOLERANCE,
+    MATRIX_ZERO_TOLERANCE,
     Factor,
     factored_sum,
     local_rows,
     make_matrix_from_local_rows,
-    weighted_sum,
+    matrix_plus_weighted_matrix,
 )
 from fenics_crack.model.matrix_formats import read_matrix_market
 from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 
 
-def floats_or_nan(data: Any) -> np.ndarray:
+def floats_or_single_nan(data: Any) -> np.ndarray:
     """Convert data to an array of floats.
 
     If the data are complex or no numbers, the result is a single nan.
@@ -101,7 +101,7 @@ def expand_to_pairs(name: str, data: Any, n_pairs: int) -> np.ndarray:
     ``data`` is a single number for all pairs, or has one number for each. InputError with the key
     ``name``: ``data`` has another shape or is not finite.
     """
-    pair_values = floats_or_nan(data)
+    pair_values = floats_or_single_nan(data)
     if pair_values.shape not in ((), (n_pairs,)) or not np.all(np.isfinite(pair_values)):
         raise InputError(name, data, f"one finite number, or {n_pairs} with one per pair")
     return np.broadcast_to(pair_values, (n_pairs,)).copy()
@@ -240,21 +240,23 @@ def check_and_distribute_parts(
     _check_symmetric("mass", mass)
     _check_symmetric("stiffness", stiffness)
     with Factor(mass) as factored_mass:
-        n_negative_pivots = factored_mass.n_negative_pivots
-        n_zero_pivots = factored_mass.n_null_pivots
-    if n_negative_pivots or n_zero_pivots:
-        problem = f"{n_negative_pivots} negative and {n_zero_pivots} zero eigenvalues"
+        n_negative_pivots_of_mass = factored_mass.n_negative_pivots
+        n_zero_pivots_of_mass = factored_mass.n_null_pivots
+    if n_negative_pivots_of_mass or n_zero_pivots_of_mass:
+        problem = (
+            f"{n_negative_pivots_of_mass} negative and {n_zero_pivots_of_mass} zero eigenvalues"
+        )
         raise InputError("mass", problem, "positive definite; give each dof a mass > 0")
     _check_semidefinite("stiffness", stiffness, mass)
 
-    given_gap, tangential = gaps
+    given_normal_gap_matrix, tangential = gaps
     gap = (
         sparse.csr_matrix((n, 0))
-        if given_gap is None
-        else make_whole_csr_matrix("gap", given_gap, n)
+        if given_normal_gap_matrix is None
+        else make_whole_csr_matrix("gap", given_normal_gap_matrix, n)
     )
-    if len(empty_columns := np.flatnonzero(abs(gap).sum(axis=0) == 0.0)):
-        problem = f"zero in column {empty_columns[0] + 1} of {gap.shape[1]}"
+    if len(zero_gap_column_indices := np.flatnonzero(abs(gap).sum(axis=0) == 0.0)):
+        problem = f"zero in column {zero_gap_column_indices[0] + 1} of {gap.shape[1]}"
         requirement = (
             "a matrix whose columns are the gaps of pairs, each with an entry that is not zero"
         )
@@ -282,30 +284,26 @@ def _load_rows_from_parts(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
     mean, cosine and sine part, in this order. Column k of a part (n, K) is harmonic k. The mean has
     one column. The keys name the parts in errors.
     """
-    allowed_columns_by_key = {"force_mean": 1}
-    rows_of_parts = [
-        _read_load_columns_as_rows(
-            key, part, n, allowed_columns_by_key.get(key, MAX_HARMONIC_ORDER)
-        )
+    max_n_columns_by_key = {"force_mean": 1}
+    load_rows_of_each_part = [
+        _read_load_columns_as_rows(key, part, n, max_n_columns_by_key.get(key, MAX_HARMONIC_ORDER))
         for key, part in load_parts.items()
     ]
-    load_coefficients = np.zeros((2 * max(map(len, rows_of_parts)) + 1, n))
-    for first_load_row, part_rows in enumerate(rows_of_parts):
+    load_coefficients = np.zeros((2 * max(map(len, load_rows_of_each_part)) + 1, n))
+    for first_load_row, part_rows in enumerate(load_rows_of_each_part):
         load_coefficients[first_load_row::2][: len(part_rows)] = part_rows
     return load_coefficients
 
 
-def _read_load_columns_as_rows(
-    name: str, data: Any, n: int, allowed_columns: int = 1
-) -> np.ndarray:
-    """Read up to ``allowed_columns`` columns (n, m) as rows (m, n).
+def _read_load_columns_as_rows(name: str, data: Any, n: int, max_n_columns: int = 1) -> np.ndarray:
+    """Read up to ``max_n_columns`` columns (n, m) as rows (m, n).
 
     None gives one row of zeros. InputError, with the key ``name``: the shape does not fit.
     """
     columns = sparse.csr_matrix((n, 1)) if data is None else make_whole_csr_matrix(name, data, n)
-    if not 1 <= columns.shape[1] <= allowed_columns:
-        requirement = f"of shape ({n},)" + f", or of up to {allowed_columns} columns" * (
-            allowed_columns > 1
+    if not 1 <= columns.shape[1] <= max_n_columns:
+        requirement = f"of shape ({n},)" + f", or of up to {max_n_columns} columns" * (
+            max_n_columns > 1
         )
         raise InputError(name, columns.shape, requirement)
     return np.asarray(columns.toarray().T, dtype=float)
@@ -345,8 +343,8 @@ def add_harmonics_to_load(
                 key, cosine_and_sine, f"a tuple (cosine, sine), each None or of shape ({n},)"
             )
         new_coefficients[2 * order - 1 : 2 * order + 1] += [
-            _read_load_columns_as_rows(key, load_part, n)[0, own_rows]
-            for load_part in cosine_and_sine
+            _read_load_columns_as_rows(key, cosine_or_sine_part, n)[0, own_rows]
+            for cosine_or_sine_part in cosine_and_sine
         ]
     return new_coefficients
 
@@ -360,7 +358,7 @@ def lump_mass(mass: Any) -> Any:
     ones_vector.set(1.0)
     mass.mult(ones_vector, row_sums)
     min_row_sum = row_sums.min()[1]
-    if min_row_sum <= MATRIX_TOLERANCE * row_sums.max()[1]:  # zero at a triangle's corners
+    if min_row_sum <= MATRIX_ZERO_TOLERANCE * row_sums.max()[1]:  # zero at a triangle's corners
         requirement = (
             "a matrix whose row sums are all > 0, so that it can be lumped; "
             "use the structure without lumped()"
@@ -383,7 +381,7 @@ def add_springs(stiffness: Any, gap: sparse.csr_matrix, spring_stiffnesses: np.n
     spring_matrix = make_matrix_from_local_rows(
         gap @ sparse.diags(spring_stiffnesses) @ gap_everywhere.T, comm
     )
-    stiffness_with_springs = weighted_sum(stiffness, 1.0, spring_matrix)
+    stiffness_with_springs = matrix_plus_weighted_matrix(stiffness, 1.0, spring_matrix)
     spring_matrix.destroy()
     return stiffness_with_springs
 
@@ -395,7 +393,7 @@ def _check_symmetric(name: str, matrix: Any) -> None:
     difference.axpy(-1.0, matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
     asymmetry_norm = difference.norm(PETSc.NormType.INFINITY)
     difference.destroy()
-    if asymmetry_norm > MATRIX_TOLERANCE * matrix_norm:
+    if asymmetry_norm > MATRIX_ZERO_TOLERANCE * matrix_norm:
         raise InputError(name, f"asymmetric by {asymmetry_norm / matrix_norm:.1e}", "symmetric")
 
 
@@ -407,10 +405,10 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
     """
     diagonal_quotients = matrix.getDiagonal()
     diagonal_quotients.pointwiseDivide(diagonal_quotients, mass.getDiagonal())
-    quotient_magnitudes = diagonal_quotients.copy()
-    quotient_magnitudes.abs()
+    diagonal_quotient_magnitudes = diagonal_quotients.copy()
+    diagonal_quotient_magnitudes.abs()
     with factored_sum(
-        matrix, MATRIX_TOLERANCE * quotient_magnitudes.max()[1], mass
+        matrix, MATRIX_ZERO_TOLERANCE * diagonal_quotient_magnitudes.max()[1], mass
     ) as factored_matrix:
         n_negative_pivots = factored_matrix.n_negative_pivots
     if n_negative_pivots:

@@ -38,7 +38,7 @@ from fenics_crack.basics.untrusted_files import open_lines_and_byte_limit, parse
 DIRECTION_NUMBER_BY_DOF_LABEL = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
 DIRECTION_NUMBER_BY_DOF_LABEL |= {str(number): number for number in range(1, 10)}
 """Number of a direction by its label in files: Ansys's words UX to ROTZ, or a digit 1 to 9."""
-MIN_ENTRY_BYTES_BY_FORMAT = {"coordinate": 4, "array": 2}
+MIN_ENTRY_BYTES_BY_LAYOUT = {"coordinate": 4, "array": 2}
 """Minimum bytes of an entry in a Matrix Market file with the end of its line, by layout."""
 MATRIX_LAYOUTS, ENTRY_TYPES = ("coordinate", "array"), ("real", "integer")
 """Words that the first line of a Matrix Market file may have: sparse or dense, and the entries."""
@@ -88,17 +88,20 @@ class LabelledMatrix:
         ):
             return self.matrix
         row_by_label = {tuple(label): row for row, label in enumerate(stiffness_labels.tolist())}
-        held_label_list = [] if stiffness.held_labels is None else stiffness.held_labels.tolist()
-        row_by_label |= dict.fromkeys(map(tuple, held_label_list), -1)
+        clamped_dof_labels = [] if stiffness.held_labels is None else stiffness.held_labels.tolist()
+        row_by_label |= dict.fromkeys(map(tuple, clamped_dof_labels), -1)
         rows = [row_by_label.get(tuple(label)) for label in self.labels.tolist()]
         if None in rows:
             node, direction = self.labels[rows.index(None)]
             raise ValueError(f"node {node}, direction {direction} is missing in the stiffness")
         coo_matrix, new_rows = self.matrix.tocoo(), np.array(rows, dtype=int)
-        is_kept = (new_rows[coo_matrix.row] >= 0) & (new_rows[coo_matrix.col] >= 0)
-        rows_and_columns = new_rows[coo_matrix.row[is_kept]], new_rows[coo_matrix.col[is_kept]]
+        is_entry_kept = (new_rows[coo_matrix.row] >= 0) & (new_rows[coo_matrix.col] >= 0)
+        rows_and_columns = (
+            new_rows[coo_matrix.row[is_entry_kept]],
+            new_rows[coo_matrix.col[is_entry_kept]],
+        )
         return sparse.csr_matrix(
-            (coo_matrix.data[is_kept], rows_and_columns),
+            (coo_matrix.data[is_entry_kept], rows_and_columns),
             (len(stiffness_labels), len(stiffness_labels)),
         )
 
@@ -167,14 +170,14 @@ def read_labels(path: Path) -> np.ndarray:
     """
     labels: list[tuple[int, int]] = []
     row_numbers: list[int] = []
-    for number, line in yield_numbered_lines(path, "#"):
+    for line_number, line in yield_numbered_lines(path, "#"):
         match = _LABEL_PATTERN.fullmatch(line.rstrip())
         if match is not None and match[3] in DIRECTION_NUMBER_BY_DOF_LABEL:
             labels.append((int(match[2]), DIRECTION_NUMBER_BY_DOF_LABEL[match[3]]))
             row_numbers.append(int(match[1] or len(labels)))
         elif labels:
             raise ValueError(
-                f"{path.name}, line {number}: {line[:80]!r} is not a node and a direction"
+                f"{path.name}, line {line_number}: {line[:80]!r} is not a node and a direction"
             )
     if not labels or len(set(labels)) < len(labels):
         raise ValueError(f"{path.name}: {'it names a row twice' if labels else 'it names no row'}")
@@ -249,16 +252,22 @@ def _build_labelled_matrix(
     has_both_triangles : bool
         True if the entries fill both triangles of the matrix.
     """
-    (distinct_nodes, node_indices), (distinct_directions, direction_indices) = (
-        np.unique(entry_labels[..., axis].ravel(), return_inverse=True) for axis in range(2)
+    (
+        (distinct_nodes, indices_in_distinct_nodes),
+        (distinct_directions, indices_in_distinct_directions),
+    ) = (
+        np.unique(entry_labels[..., label_part_index].ravel(), return_inverse=True)
+        for label_part_index in range(2)
     )
     # One key for each label: unique rows take longer.
-    entry_keys = node_indices * len(distinct_directions) + direction_indices
-    distinct_keys, label_indices = np.unique(entry_keys, return_inverse=True)
+    label_keys = (
+        indices_in_distinct_nodes * len(distinct_directions) + indices_in_distinct_directions
+    )
+    distinct_label_keys, label_indices = np.unique(label_keys, return_inverse=True)
     labels = np.column_stack(
         [
-            distinct_nodes[distinct_keys // len(distinct_directions)],
-            distinct_directions[distinct_keys % len(distinct_directions)],
+            distinct_nodes[distinct_label_keys // len(distinct_directions)],
+            distinct_directions[distinct_label_keys % len(distinct_directions)],
         ]
     )
     row_indices, column_indices = label_indices.reshape(-1, 2).T
@@ -286,13 +295,18 @@ def _read_calculix(path: Path, labels_path: Path) -> LabelledMatrix:
         raise ValueError(
             f"line {line_number}: entry {indices[line_number - 1].tolist()} is outside of {n} rows"
         )
-    rows, columns = (indices - 1).astype(int).T
-    missing_rows = np.setdiff1d(np.arange(n), rows[rows == columns])
-    if len(missing_rows):
+    row_indices, column_indices = (indices - 1).astype(int).T
+    rows_without_diagonal_entry = np.setdiff1d(
+        np.arange(n), row_indices[row_indices == column_indices]
+    )
+    if len(rows_without_diagonal_entry):
         raise ValueError(
-            f"it is incomplete: row {missing_rows[0] + 1} of {n} has no diagonal entry"
+            f"it is incomplete: row {rows_without_diagonal_entry[0] + 1} of {n} has no diagonal "
+            "entry"
         )
-    return LabelledMatrix(_make_matrix_from_triangle(entry_table[:, 2], rows, columns, n), labels)
+    return LabelledMatrix(
+        _make_matrix_from_triangle(entry_table[:, 2], row_indices, column_indices, n), labels
+    )
 
 
 def _is_abaqus_file(path: Path) -> bool:
@@ -327,12 +341,12 @@ def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
     """
     entry_labels: list[list[int]] = []
     entries: list[float] = []
-    is_wanted, form, column_label = False, 6, ["", ""]
-    for number, line in yield_numbered_lines(path, "$"):
+    is_wanted_matrix, form, column_label = False, 6, ["", ""]
+    for line_number, line in yield_numbered_lines(path, "$"):
         try:
             if line.startswith("DMIG "):
-                is_wanted = re.match(f"{matrix_letter}[A-Z]", line[8:16].upper()) is not None
-                if is_wanted and line[16:24].strip() == "0":
+                is_wanted_matrix = re.match(f"{matrix_letter}[A-Z]", line[8:16].upper()) is not None
+                if is_wanted_matrix and line[16:24].strip() == "0":
                     if entry_labels:
                         raise LookupError
                     form, type_code = int(line[24:32]), int(line[32:40])
@@ -340,28 +354,32 @@ def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
                         raise ValueError
             elif line.startswith("DMIG*"):
                 matrix_name, *column_label = cut_fields(line, 16, 8, 56)
-                is_wanted = re.match(f"{matrix_letter}[A-Z]", matrix_name.upper()) is not None
+                is_wanted_matrix = (
+                    re.match(f"{matrix_letter}[A-Z]", matrix_name.upper()) is not None
+                )
             elif line.startswith("*"):
-                if is_wanted:
+                if is_wanted_matrix:
                     *row_label, value_text = cut_fields(line, 16, 8, 56)
                     entry_labels.append([int(field) for field in (*row_label, *column_label)])
                     entries.append(parse_real(value_text))
-            elif is_wanted:
+            elif is_wanted_matrix:
                 raise ValueError
         except LookupError:
             problem = (
                 f"{line[8:16].strip()} is a second matrix whose name begins with {matrix_letter}"
             )
-            raise ValueError(f"line {number}: {problem}") from None
+            raise ValueError(f"line {line_number}: {problem}") from None
         except ValueError:
             expected_format = "a real square matrix DMIG in fields of 16 characters"
             raise ValueError(
-                f"line {number}: {line[:80]!r} is no line of {expected_format}"
+                f"line {line_number}: {line[:80]!r} is no line of {expected_format}"
             ) from None
     if not entry_labels:
         raise ValueError(f"it has no matrix DMIG whose name begins with {matrix_letter}")
-    label_pairs = np.array(entry_labels, dtype=np.int64).reshape(-1, 2, 2)
-    return _build_labelled_matrix(label_pairs, np.array(entries), has_both_triangles=form == 1)
+    row_and_column_labels = np.array(entry_labels, dtype=np.int64).reshape(-1, 2, 2)
+    return _build_labelled_matrix(
+        row_and_column_labels, np.array(entries), has_both_triangles=form == 1
+    )
 
 
 def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
@@ -392,50 +410,53 @@ def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
 
     def read_reals(count: int, width: int) -> list[float]:
         """Read ``count`` real numbers of ``width`` characters from further lines."""
-        column_entries: list[float] = []
-        while len(column_entries) < count:
-            column_entries += map(parse_real, cut_fields(read_line(), width))
-        if len(column_entries) > count:
+        string_values: list[float] = []
+        while len(string_values) < count:
+            string_values += map(parse_real, cut_fields(read_line(), width))
+        if len(string_values) > count:
             raise ValueError
-        return column_entries
+        return string_values
 
     try:
         while True:
             n_columns, n_rows, _, type_code = read_integers(4)
             number_format = line[40:].upper().replace("D", "E")
             number_width = int(number_format.partition("E")[2].partition(".")[0])
-            is_wanted = line[32:40].strip().upper().startswith(matrix_letter)
-            if type_code not in (1, 2, 3, 4) or (is_wanted and type_code > 2):  # complex
+            is_wanted_matrix = line[32:40].strip().upper().startswith(matrix_letter)
+            if type_code not in (1, 2, 3, 4) or (is_wanted_matrix and type_code > 2):  # complex
                 raise ValueError
             words_per_number = 2 if type_code in (2, 4) else 1
             entries: list[float] = []
-            entry_positions: list[tuple[int, int]] = []
+            entry_row_column_pairs: list[tuple[int, int]] = []
             while True:
                 column, first_row, n_words_left = read_integers(3)
                 while n_words_left > 0:
-                    n_words, row, n_header_words = n_words_left, first_row, 0
+                    n_words, string_first_row, n_header_words = n_words_left, first_row, 0
                     if first_row == 0 and n_rows < 0:
-                        (n_words, row), n_header_words = read_integers(2), 2
+                        (n_words, string_first_row), n_header_words = read_integers(2), 2
                         n_words -= 1
                     elif first_row == 0:
-                        n_words, row = divmod(int(read_line()), 65536)
+                        n_words, string_first_row = divmod(int(read_line()), 65536)
                         n_words, n_header_words = n_words - 1, 1
                     # Strings count their words, dense columns their numbers.
-                    column_entries = read_reals(
+                    string_values = read_reals(
                         n_words // words_per_number if n_header_words else n_words, number_width
                     )
                     n_words_left -= n_words + n_header_words
-                    if is_wanted and column <= n_columns:
-                        entries += column_entries
-                        entry_positions += [
-                            (row - 1 + offset, column - 1) for offset in range(len(column_entries))
+                    if is_wanted_matrix and column <= n_columns:
+                        entries += string_values
+                        entry_row_column_pairs += [
+                            (string_first_row - 1 + row_offset, column - 1)
+                            for row_offset in range(len(string_values))
                         ]
                 if column > n_columns:
                     break
-            if is_wanted:
-                row_and_column = np.array(entry_positions, dtype=np.int64).reshape(-1, 2).T
+            if is_wanted_matrix:
+                row_and_column_indices = (
+                    np.array(entry_row_column_pairs, dtype=np.int64).reshape(-1, 2).T
+                )
                 matrix = sparse.csr_matrix(
-                    (entries, tuple(row_and_column)), (abs(n_rows), n_columns)
+                    (entries, tuple(row_and_column_indices)), (abs(n_rows), n_columns)
                 )
                 matrix.eliminate_zeros()  # between the numbers of a column
                 return matrix
@@ -478,8 +499,8 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
     n_found = table.size if layout == "array" else len(table)
     if n_found != n_entries:
         # Reading stops after one too many.
-        shown_count = "more" if n_found > n_entries else n_found
-        raise ValueError(f"it has {shown_count} entries instead of {n_entries}")
+        entry_count_text = "more" if n_found > n_entries else n_found
+        raise ValueError(f"it has {entry_count_text} entries instead of {n_entries}")
     if layout == "array":
         entries, rows_and_columns = table.ravel(), _dense_row_and_column_indices(shape, symmetry)
     elif max(shape) > max(len(table), n_rows or 1):
@@ -545,21 +566,23 @@ def _read_header_and_sizes(
     n_entries : int
         Number of entries that the file must hold.
     """
-    header = _parse_header(next(lines, ""))
+    layout_and_symmetry = _parse_header(next(lines, ""))
     line = next((line for line in lines if line.strip() and not line.startswith("%")), "")
-    sizes = [int(word) for word in line.split()]
-    if len(sizes) != (3 if header[0] == "coordinate" else 2) or min(sizes) < 0:
+    sizes = [int(size_word) for size_word in line.split()]
+    if len(sizes) != (3 if layout_and_symmetry[0] == "coordinate" else 2) or min(sizes) < 0:
         raise ValueError("the line with the numbers of rows and columns is missing or wrong")
     n_rows, n_columns = sizes[:2]
     if len(sizes) == 3:
         n_entries = sizes[2]
-    elif transpose_sign := TRANSPOSE_SIGN_BY_SYMMETRY.get(header[1]):  # from the diagonal down
+    elif transpose_sign := TRANSPOSE_SIGN_BY_SYMMETRY.get(
+        layout_and_symmetry[1]
+    ):  # from the diagonal down
         n_entries = n_rows * (n_rows + transpose_sign) // 2
     else:
         n_entries = n_rows * n_columns
-    if n_entries * MIN_ENTRY_BYTES_BY_FORMAT[header[0]] > allowed_bytes:
+    if n_entries * MIN_ENTRY_BYTES_BY_LAYOUT[layout_and_symmetry[0]] > allowed_bytes:
         raise ValueError(f"it announces {n_entries} entries, too many for its size")
-    return header, sizes, n_entries
+    return layout_and_symmetry, sizes, n_entries
 
 
 def _parse_header(line: str) -> tuple[str, str]:
@@ -636,9 +659,9 @@ def yield_numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
     Text from the character ``comment`` on is cut off, and empty lines are left out.
     """
     with open_lines_and_byte_limit(path, "replace") as (text_file, _):
-        for number, line in enumerate(text_file, 1):
+        for line_number, line in enumerate(text_file, 1):
             if text := line.partition(comment)[0].rstrip():
-                yield number, text
+                yield line_number, text
 
 
 def cut_fields(line: str, width: int, start: int = 0, stop: int | None = None) -> list[str]:
@@ -679,11 +702,11 @@ def read_number_rows(
             return rows_of_numbers
     except ValueError:  # NumPy's message counts lines in another way than an editor
         pass
-    for number, line in yield_numbered_lines(path, comment):
+    for line_number, line in yield_numbered_lines(path, comment):
         try:
             row = [float(word) for word in line.split(delimiter)]
         except ValueError:
             row = []
         if len(row) != n_columns or not np.all(np.isfinite(row)):
-            raise ValueError(f"line {number}: {line[:80]!r} instead of {n_columns} numbers")
+            raise ValueError(f"line {line_number}: {line[:80]!r} instead of {n_columns} numbers")
     raise ValueError("it holds no numbers")

@@ -24,9 +24,9 @@ from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import (
-    NEGLIGIBLE,
+    STIFFNESS_SOLUTION_ROUNDING,
     ZERO_TOLERANCE,
-    damped_modes,
+    modes_with_modal_damping,
     project_damping_on_modes,
     solve_modes,
 )
@@ -40,7 +40,7 @@ MAX_DENSE_SIZE = 600
 Also the maximum number of unknowns of equations with more harmonics, for an error estimate. Dense
 matrices of this size take a part of a second.
 """
-MODAL_COORDINATES_IN_CACHE = 2**16
+N_MODAL_COORDINATES_IN_CPU_CACHE = 2**16
 """Number of modal coordinates that are computed together: they fit in a cache."""
 
 
@@ -51,7 +51,7 @@ def is_small(structure: Structure) -> bool:
     faces.
     """
     has_few_dofs = structure.comm.size == 1 and structure.n_dofs <= MAX_DENSE_SIZE
-    return has_few_dofs or structure.light_lips
+    return has_few_dofs or structure.has_massless_crack_faces
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class AllModes:
     gaps_by_mode: np.ndarray
     is_unconstrained: bool
     residual_compliance: np.ndarray | None = None
-    massless_pair_responses: np.ndarray | None = None
+    massless_displacement_by_pair_forces: np.ndarray | None = None
     """(n_dofs, n_pairs): displacement of the massless coordinates by unit forces on pairs."""
     massless_flexibility: np.ndarray | None = None
     """(n_dofs, n_dofs): displacement of the massless coordinates by forces on dofs."""
@@ -93,7 +93,9 @@ class AllModes:
 
         The lowest omega^2 is then below 1e-12 of the highest, and no rigid-body motion is free.
         """
-        return not self.is_unconstrained and bool(self.squares[0] < NEGLIGIBLE * self.squares[-1])
+        return not self.is_unconstrained and bool(
+            self.squares[0] < STIFFNESS_SOLUTION_ROUNDING * self.squares[-1]
+        )
 
     def modal_receptances(
         self, omega: np.ndarray, damping_factor: float = 1.0, is_loaded: np.ndarray | None = None
@@ -129,7 +131,7 @@ class AllModes:
         """
         omega_squared = (omega * omega)[:, None]
         dynamic_stiffness = self.squares - omega_squared
-        is_singular = self.is_unconstrained & (omega == 0.0)
+        is_singular_at_omega = self.is_unconstrained & (omega == 0.0)
         if self.damping.ndim == 1:
             impedance = dynamic_stiffness + (1j * damping_factor * omega)[:, None] * self.damping
             impedance_scale = np.abs(self.squares) + omega_squared
@@ -139,23 +141,23 @@ class AllModes:
                     (np.abs(impedance) <= min_impedance) & ~is_loaded & (omega_squared > 0.0)
                 )
                 impedance = np.where(is_near_resonance, min_impedance, impedance)
-            is_singular |= (
+            is_singular_at_omega |= (
                 np.abs(impedance) <= kernel.SINGULARITY_TOLERANCE * impedance_scale
             ).any(axis=1)
         else:
             impedance = 1j * damping_factor * omega[:, None, None] * self.damping
-            mode_indices = np.arange(len(self.squares))
-            impedance[:, mode_indices, mode_indices] += dynamic_stiffness
+            diagonal_indices = np.arange(len(self.squares))
+            impedance[:, diagonal_indices, diagonal_indices] += dynamic_stiffness
             # Only an undamped mode can make the impedance singular.
             is_undamped_mode = np.abs(self.damping).sum(axis=1) == 0.0
-            is_singular |= np.any(dynamic_stiffness[:, is_undamped_mode] == 0.0, axis=1)
-            if not is_singular.any():
+            is_singular_at_omega |= np.any(dynamic_stiffness[:, is_undamped_mode] == 0.0, axis=1)
+            if not is_singular_at_omega.any():
                 try:
                     return np.linalg.inv(impedance)
                 except np.linalg.LinAlgError:  # to rounding
-                    is_singular[np.argmax(np.linalg.cond(impedance))] = True
-        if is_singular.any():
-            singular_omega = omega[np.argmax(is_singular)]
+                    is_singular_at_omega[np.argmax(np.linalg.cond(impedance))] = True
+        if is_singular_at_omega.any():
+            singular_omega = omega[np.argmax(is_singular_at_omega)]
             cause_text = (
                 "it can move as a rigid body: clamp it"
                 if singular_omega == 0.0
@@ -199,7 +201,7 @@ class AllModes:
         """
         return np.asarray(self.squares > max(min_frequency**2, float(self.squares[0])))
 
-    def static_pair_responses(self, min_frequency: float) -> np.ndarray:
+    def static_displacement_by_pair_forces(self, min_frequency: float) -> np.ndarray:
         """Return the quasi-static displacement by unit forces on the pairs.
 
         Parameters
@@ -213,16 +215,16 @@ class AllModes:
             Displacement of the modes above this frequency and of the massless coordinates.
         """
         is_fast_mode = self._is_fast_mode(min_frequency)
-        pair_responses: np.ndarray = (
+        displacement_by_pair_forces: np.ndarray = (
             self.shapes[:, is_fast_mode] / self.squares[is_fast_mode]
         ) @ self.gaps_by_mode[is_fast_mode]
         return (
-            pair_responses
-            if self.massless_pair_responses is None
-            else pair_responses + self.massless_pair_responses
+            displacement_by_pair_forces
+            if self.massless_displacement_by_pair_forces is None
+            else displacement_by_pair_forces + self.massless_displacement_by_pair_forces
         )
 
-    def with_static_modes(self, min_frequency: float | None) -> AllModes:
+    def with_fast_modes_quasi_static(self, min_frequency: float | None) -> AllModes:
         """Move modes above a frequency [rad/s] to the quasi-static part, without inertia.
 
         The moved modes lose their damping, too. The lowest mode is never moved. With None, or
@@ -233,11 +235,14 @@ class AllModes:
         is_slow_mode = ~self._is_fast_mode(min_frequency)
         if np.all(is_slow_mode):
             return self
-        fast_squares, fast_shapes = self.squares[~is_slow_mode], self.shapes[:, ~is_slow_mode]
-        massless_flexibility = (fast_shapes / fast_squares) @ fast_shapes.T
+        fast_squares, fast_static_shapes = (
+            self.squares[~is_slow_mode],
+            self.shapes[:, ~is_slow_mode],
+        )
+        massless_flexibility = (fast_static_shapes / fast_squares) @ fast_static_shapes.T
         if self.massless_flexibility is not None:
             massless_flexibility = massless_flexibility + self.massless_flexibility
-        slow_damping = (
+        slow_damping_rates = (
             self.damping[is_slow_mode]
             if self.damping.ndim == 1
             else self.damping[np.ix_(is_slow_mode, is_slow_mode)]
@@ -245,11 +250,11 @@ class AllModes:
         return AllModes(
             self.squares[is_slow_mode],
             self.shapes[:, is_slow_mode],
-            slow_damping,
+            slow_damping_rates,
             self.gaps_by_mode[is_slow_mode],
             self.is_unconstrained,
             self.static_pair_compliance(min_frequency),
-            self.static_pair_responses(min_frequency),
+            self.static_displacement_by_pair_forces(min_frequency),
             massless_flexibility,
             self.shapes_inverse[is_slow_mode],
         )
@@ -363,10 +368,10 @@ class AllModes:
             is_singular = np.abs(impedance @ amplitudes - force).max() > 1e-9 * np.abs(force).max()
         else:
             impedance = self.squares - omega**2 + 1j * omega * self.damping
-            square_magnitudes = np.abs(self.squares)
-            is_resonant_mode = np.abs(impedance) <= 1e-15 * (square_magnitudes + omega**2)
+            squared_omega_magnitudes = np.abs(self.squares)
+            is_resonant_mode = np.abs(impedance) <= 1e-15 * (squared_omega_magnitudes + omega**2)
             if omega == 0.0 and self.is_unconstrained:
-                is_resonant_mode |= square_magnitudes <= 1e-12 * square_magnitudes[-1]
+                is_resonant_mode |= squared_omega_magnitudes <= 1e-12 * squared_omega_magnitudes[-1]
             is_singular = bool(np.any(force[is_resonant_mode]))
             amplitudes = np.divide(
                 force, impedance, out=np.zeros_like(force), where=~is_resonant_mode
@@ -384,7 +389,7 @@ def all_modes(structure: Structure) -> AllModes:
 
     The modes are computed once for a structure and all varied copies.
     """
-    modes, damping_factor = structure.compute_once(_compute_all_modes), structure.damping_factor
+    modes, damping_factor = structure.compute_once(_compute_all_modes), structure.damping_multiplier
     return (
         modes if damping_factor == 1.0 else replace(modes, damping=damping_factor * modes.damping)
     )
@@ -394,10 +399,10 @@ def _compute_all_modes(structure: Structure) -> AllModes:
     """Compute all modes of a small structure."""
     if isinstance(structure, QuasiStaticReduction):
         return _quasi_static_reduction_modes(structure)
-    damping_modes = damped_modes(structure)
-    if damping_modes is not None and len(damping_modes.omega) == structure.n_dofs:
-        squares, mode_shapes = damping_modes.omega**2, damping_modes.shapes
-        damping = damping_modes.damping_rates
+    modally_damped_modes = modes_with_modal_damping(structure)
+    if modally_damped_modes is not None and len(modally_damped_modes.omega) == structure.n_dofs:
+        squares, mode_shapes = modally_damped_modes.omega**2, modally_damped_modes.shapes
+        damping = modally_damped_modes.damping_rates
     else:
         stiffness_and_mass = (
             local_rows(petsc_matrix).toarray()
@@ -419,16 +424,18 @@ def _quasi_static_reduction_modes(structure: QuasiStaticReduction) -> AllModes:
     The massless coordinates respond statically: their flexibility is in the result, too.
     """
     gap, modal_shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
-    flexibility_factor = structure.truncated_flexibility_root
-    pair_factor = gap.T @ flexibility_factor  # exact even if L L^T is mostly rounding
+    truncated_flexibility_root = structure.truncated_flexibility_root
+    pair_compliance_root = (
+        gap.T @ truncated_flexibility_root
+    )  # exact even if L L^T is mostly rounding
     return AllModes(
         squares,
         modal_shapes,
         structure.modal_damping,
         modal_shapes.T @ gap,
         bool(np.any(squares == 0.0)),
-        pair_factor @ pair_factor.T,
-        flexibility_factor @ pair_factor.T,
+        pair_compliance_root @ pair_compliance_root.T,
+        truncated_flexibility_root @ pair_compliance_root.T,
         structure.residual_flexibility,
         (structure.mass.getDiagonal().array_r[:, None] * modal_shapes).T,
     )

@@ -26,7 +26,7 @@ from petsc4py import PETSc
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 from fenics_crack.basics.errors import (
-    N_FREQUENCIES_PER_CRACK_STATE,
+    N_NATURAL_MODES_PER_CRACK_STATE,
     ConvergenceError,
     InputError,
     check_choice,
@@ -35,7 +35,7 @@ from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import gather_rows, import_slepc
 from fenics_crack.basics.tables import Tabular, add_frequency_entries, format_count, hertz_property
 from fenics_crack.kernel import kernel
-from fenics_crack.model.factor import MATRIX_TOLERANCE, MAX_BLOCK_COLUMNS, Factor, factored_sum
+from fenics_crack.model.factor import MATRIX_ZERO_TOLERANCE, MAX_BLOCK_COLUMNS, Factor, factored_sum
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
@@ -53,13 +53,13 @@ Three numbers are compared with a larger one: omega^2 of a mode phi with the sum
 with the stiffness K; the residual flexibility of a force with the flexibility of the modes; and a
 gap with the largest gap.
 """
-NEGLIGIBLE = ROUNDING
+STIFFNESS_SOLUTION_ROUNDING = ROUNDING
 """Rounding error, 1e-12, of solutions with the stiffness, relative to the largest.
 
 Smaller relative eigenvalues of compliances and Gram matrices count as zero. So do gaps of crack
 faces that the load presses together.
 """
-MULTIPLE_FREQUENCY_TOLERANCE = math.sqrt(NEGLIGIBLE)
+MULTIPLE_FREQUENCY_TOLERANCE = math.sqrt(STIFFNESS_SOLUTION_ROUNDING)
 """Relative difference of frequencies that count as equal, 1e-6.
 
 In the matching of open and bonded modes, it is also the weight of the modes' order against the
@@ -95,9 +95,9 @@ class Modes(Tabular):
 
     def function(self, index: int) -> Any:
         """Return the shape of ``omega[index]`` as DOLFINx's Function (collective)."""
-        last_mode_index = len(self.omega) - 1
-        if not isinstance(index, Integral) or not 0 <= index <= last_mode_index:
-            raise InputError("index", index, f"a whole number from 0 to {last_mode_index}")
+        max_allowed_index = len(self.omega) - 1
+        if not isinstance(index, Integral) or not 0 <= index <= max_allowed_index:
+            raise InputError("index", index, f"a whole number from 0 to {max_allowed_index}")
         return self.structure.function(self.shapes[:, index])
 
     def to_dict(self) -> dict[str, Any]:
@@ -164,7 +164,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     allowed_count = (
         len(omega_and_shapes[0])
         if omega_and_shapes is not None
-        else _count_modes_without_ties(structure, ties)
+        else _count_modes_minus_ties(structure, ties)
     )
     is_integer = isinstance(count, Integral) and not isinstance(count, bool)
     if not (is_integer and 1 <= count <= allowed_count):
@@ -190,7 +190,7 @@ def count_bonded_modes(structure: Structure) -> int:
     return (
         len(omega_and_shapes[0])
         if omega_and_shapes is not None
-        else _count_modes_without_ties(structure, find_independent_ties(structure))
+        else _count_modes_minus_ties(structure, find_independent_ties(structure))
     )
 
 
@@ -204,18 +204,18 @@ def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
     (n_local, n_ties)
         Selected columns of the gap matrix B, with the rows of this rank.
     """
-    gap_matrix = sparse.csc_matrix(structure.gap)
-    gram_matrix = structure.sum_over_ranks((gap_matrix.T @ gap_matrix).toarray())
+    normal_gap_matrix = sparse.csc_matrix(structure.gap)
+    gram_matrix = structure.sum_over_ranks((normal_gap_matrix.T @ normal_gap_matrix).toarray())
     gram_diagonal = np.diag(gram_matrix)
     if np.all(gram_diagonal > 0.0) and np.count_nonzero(gram_matrix) == len(gram_matrix):
-        return gap_matrix  # orthogonal: no two pairs share a node
+        return normal_gap_matrix  # orthogonal: no two pairs share a node
     upper_factor, pivot_order = scipy.linalg.qr(gram_matrix, mode="r", pivoting=True)
     pivot_sizes = np.abs(np.diag(upper_factor))
     allowed_rounding = 10.0 * len(gram_matrix) * MACHINE_EPSILON * pivot_sizes.max(initial=0.0)
-    return gap_matrix[:, np.sort(pivot_order[pivot_sizes > allowed_rounding])]
+    return normal_gap_matrix[:, np.sort(pivot_order[pivot_sizes > allowed_rounding])]
 
 
-def _count_modes_without_ties(structure: Structure, ties: Any) -> int:
+def _count_modes_minus_ties(structure: Structure, ties: Any) -> int:
     """Return the number of modes of a structure in which every dof has mass.
 
     With a bonded crack, the number is n_dofs - n_ties. ``ties`` (n_local, n_ties) are the bonds;
@@ -301,7 +301,7 @@ def solve_modes_with_factor(
         if ties is None
         else BondedStiffnessInverse(stiffness_inverse, structure, ties)
     )
-    n_requested_modes, available_count = n_modes, _count_modes_without_ties(structure, ties)
+    n_requested_modes, available_count = n_modes, _count_modes_minus_ties(structure, ties)
     while True:
         squared_omegas, shapes = _find_modes_near_zero_omega(
             used_inverse, structure, n_requested_modes, square_scale, ties
@@ -318,10 +318,10 @@ def solve_modes_with_factor(
         squared_omega_bound = squared_omegas[n_modes - 1] - 1e-6 * max(
             squared_omegas[n_modes - 1], 0.01 * square_scale
         )
-        n_modes_below_bound = np.sum(squared_omegas < squared_omega_bound)
+        n_found_modes_below_bound = np.sum(squared_omegas < squared_omega_bound)
         if (
             n_requested_modes == available_count
-            or count_modes_below(structure, squared_omega_bound, ties) <= n_modes_below_bound
+            or count_modes_below(structure, squared_omega_bound, ties) <= n_found_modes_below_bound
         ):
             break
         n_requested_modes = min(2 * n_requested_modes + 2, available_count)
@@ -426,7 +426,7 @@ def _find_modes_near_zero_omega(
     if not stiffness_inverse.n_null_pivots:
         squared_omegas, shapes = _find_modes_near_shift(stiffness_inverse, structure, n_modes, 0.0)
         if (
-            squared_omegas[0] > MATRIX_TOLERANCE * square_scale
+            squared_omegas[0] > MATRIX_ZERO_TOLERANCE * square_scale
         ):  # a singular K may give values below 0
             return squared_omegas, shapes
     squared_omega_shift = -1e-6 * square_scale
@@ -537,8 +537,10 @@ def multiply_columns(matrix: Any, columns: np.ndarray) -> np.ndarray:
         column_block = np.array(
             columns[:, start_column : start_column + MAX_BLOCK_COLUMNS], order="F"
         )
-        block_sizes = (matrix.sizes[1], (PETSc.DECIDE, column_block.shape[1]))
-        block_matrix = PETSc.Mat().createDense(block_sizes, array=column_block, comm=matrix.comm)
+        block_matrix_sizes = (matrix.sizes[1], (PETSc.DECIDE, column_block.shape[1]))
+        block_matrix = PETSc.Mat().createDense(
+            block_matrix_sizes, array=column_block, comm=matrix.comm
+        )
         block_matrix.assemble()
         product_matrix = matrix.matMult(block_matrix)
         product_columns[:, start_column : start_column + MAX_BLOCK_COLUMNS] = (
@@ -584,7 +586,7 @@ def orthonormalise_against_basis(
     for _ in range(2):  # once more against rounding
         columns = columns - basis @ project_columns(basis)
         gram_eigenvalues, eigenvectors = np.linalg.eigh(project_columns(columns))
-        is_kept = gram_eigenvalues > NEGLIGIBLE
+        is_kept = gram_eigenvalues > STIFFNESS_SOLUTION_ROUNDING
         columns = columns @ (eigenvectors[:, is_kept] / np.sqrt(gram_eigenvalues[is_kept]))
     return columns
 
@@ -601,16 +603,21 @@ def _signs_for_positive_largest_component(structure: Structure, shapes: np.ndarr
     (count,)
         1 or -1 for each shape.
     """
-    first_dof = structure.first_dof
+    first_dof_of_rank = structure.first_dof
     n_key_columns = 1 if structure.nodes is None else structure.nodes.points.shape[1] + 1
     sort_keys = np.zeros((structure.n_local, n_key_columns))
     if structure.nodes is None or structure.whole is not structure:
-        sort_keys[:, 0] = np.arange(first_dof, first_dof + structure.n_local)
+        sort_keys[:, 0] = np.arange(first_dof_of_rank, first_dof_of_rank + structure.n_local)
     else:
-        node_indices, component_indices = np.nonzero(structure.nodes.dofs >= 0)
-        dof_rows = structure.nodes.dofs[node_indices, component_indices] - first_dof
-        sort_keys[dof_rows] = np.column_stack(
-            [structure.nodes.points[node_indices], component_indices]
+        node_index_of_free_dofs, direction_index_of_free_dofs = np.nonzero(
+            structure.nodes.dofs >= 0
+        )
+        local_row_of_free_dofs = (
+            structure.nodes.dofs[node_index_of_free_dofs, direction_index_of_free_dofs]
+            - first_dof_of_rank
+        )
+        sort_keys[local_row_of_free_dofs] = np.column_stack(
+            [structure.nodes.points[node_index_of_free_dofs], direction_index_of_free_dofs]
         )
     local_largest_components = np.maximum(
         shapes.max(axis=0, initial=0.0), -shapes.min(axis=0, initial=0.0)
@@ -621,16 +628,16 @@ def _signs_for_positive_largest_component(structure: Structure, shapes: np.ndarr
         large_row_indices = np.flatnonzero(
             np.abs(shapes[:, mode_index]) >= (1.0 - 1e-6) * largest_component
         )
-        keys_and_signs = np.column_stack(
+        sort_keys_and_component_signs = np.column_stack(
             [sort_keys[large_row_indices].round(12), np.sign(shapes[large_row_indices, mode_index])]
         )
-        all_keys_and_signs = gather_rows(structure.comm, keys_and_signs)
+        all_keys_and_signs = gather_rows(structure.comm, sort_keys_and_component_signs)
         signs[mode_index] = all_keys_and_signs[np.lexsort(all_keys_and_signs[:, -2::-1].T)[0], -1]
     return signs
 
 
 @dataclass(frozen=True)
-class DampedModes:
+class ModesWithModalDamping:
     """Modes Phi on which modal damping acts: C = M Phi diag(damping_rates) Phi^T M.
 
     M is the mass, and C the damping matrix, which is never formed.
@@ -651,7 +658,7 @@ class DampedModes:
     mass_shapes: np.ndarray
 
 
-def damped_modes(structure: Structure) -> DampedModes | None:
+def modes_with_modal_damping(structure: Structure) -> ModesWithModalDamping | None:
     """Return the modes on which modal damping acts (collective).
 
     None if the structure has Rayleigh damping, a damping matrix or no damping. The modes are
@@ -662,11 +669,11 @@ def damped_modes(structure: Structure) -> DampedModes | None:
     InputError
         The number of ratios or of modes does not fit the structure.
     """
-    if not isinstance(structure.original.damping, ModalDamping):
+    if not isinstance(structure.unvaried_structure.damping, ModalDamping):
         return None
     damped_modes_at_unit_factor, damping_factor = (
-        structure.compute_once(_compute_damped_modes),
-        structure.damping_factor,
+        structure.compute_once(_compute_modes_with_modal_damping),
+        structure.damping_multiplier,
     )
     return (
         damped_modes_at_unit_factor
@@ -678,12 +685,12 @@ def damped_modes(structure: Structure) -> DampedModes | None:
     )
 
 
-def _compute_damped_modes(structure: Structure) -> DampedModes:
+def _compute_modes_with_modal_damping(structure: Structure) -> ModesWithModalDamping:
     """Compute the modes on which modal damping acts, and their damping rates (collective)."""
     modes = solve_modes(structure, count_damped_modes(structure))
     mass_shapes = multiply_columns(structure.mass, modes.shapes)
     damping_rates = structure.damping.rate(modes.omega**2)
-    return DampedModes(modes.omega, damping_rates, modes.shapes, mass_shapes)
+    return ModesWithModalDamping(modes.omega, damping_rates, modes.shapes, mass_shapes)
 
 
 def count_damped_modes(structure: Structure) -> int:
@@ -735,11 +742,11 @@ def damped_count_and_max_omega_or_none(structure: Structure) -> tuple[int, float
         return None if damping_rule.mass or damping_rule.stiffness else (0, 0.0)
     if isinstance(damping_rule.ratio, float) and damping_rule.modes in (None, structure.n_modes):
         return None if damping_rule.ratio else (0, 0.0)
-    damping_modes = damped_modes(structure)
-    assert damping_modes is not None
+    modally_damped_modes = modes_with_modal_damping(structure)
+    assert modally_damped_modes is not None
     # A smaller rate is rounding of a projection.
     damped_indices = np.flatnonzero(
-        damping_modes.damping_rates > 1e-9 * damping_modes.damping_rates.max()
+        modally_damped_modes.damping_rates > 1e-9 * modally_damped_modes.damping_rates.max()
     )
     if not damped_indices.size:
         return 0, 0.0
@@ -747,7 +754,7 @@ def damped_count_and_max_omega_or_none(structure: Structure) -> tuple[int, float
     return (
         None
         if last_damped_index == structure.n_modes - 1
-        else (len(damped_indices), float(damping_modes.omega[last_damped_index]))
+        else (len(damped_indices), float(modally_damped_modes.omega[last_damped_index]))
     )
 
 
@@ -787,11 +794,15 @@ def project_damping_on_columns(structure: Structure, columns: np.ndarray) -> np.
     if structure.damping_matrix is not None:
         damping_products = multiply_columns(structure.damping_matrix, columns)
         return structure.sum_over_ranks(columns.T @ damping_products)
-    damping_modes = damped_modes(structure)
-    if damping_modes is None:
+    modally_damped_modes = modes_with_modal_damping(structure)
+    if modally_damped_modes is None:
         return np.zeros((columns.shape[1], columns.shape[1]))
-    modal_columns = structure.sum_over_ranks(damping_modes.mass_shapes.T @ columns)
-    return (modal_columns.T * damping_modes.damping_rates) @ modal_columns
+    modal_coordinates_of_columns = structure.sum_over_ranks(
+        modally_damped_modes.mass_shapes.T @ columns
+    )
+    return (
+        modal_coordinates_of_columns.T * modally_damped_modes.damping_rates
+    ) @ modal_coordinates_of_columns
 
 
 # --- with the crack open and bonded --------------------------------------------------------------
@@ -860,14 +871,14 @@ class BilinearFrequencies(Tabular):
         mode_index = np.abs(omega[..., None] - omega_bilinear).argmin(axis=-1)
         n_modes = omega_bilinear.shape[-1]
         columns_by_name: dict[str, np.ndarray] = {"mode": mode_index + 1}
-        for kind in FREQUENCY_KIND_NAMES:
+        for frequency_kind in FREQUENCY_KIND_NAMES:
             omega_of_kind = np.broadcast_to(
-                getattr(self, f"omega_{kind}"), (*mode_index.shape, n_modes)
+                getattr(self, f"omega_{frequency_kind}"), (*mode_index.shape, n_modes)
             )
             omega_of_kind = np.take_along_axis(omega_of_kind, mode_index[..., None], -1)[..., 0]
-            columns_by_name[f"omega_{kind}"] = omega_of_kind
+            columns_by_name[f"omega_{frequency_kind}"] = omega_of_kind
             with np.errstate(divide="ignore", invalid="ignore"):
-                columns_by_name[f"over_{kind}"] = omega / omega_of_kind
+                columns_by_name[f"over_{frequency_kind}"] = omega / omega_of_kind
         return columns_by_name
 
     def to_dict(self) -> dict[str, Any]:
@@ -919,7 +930,7 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 
 def _compute_bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     """Compute the frequencies of :func:`bilinear_frequencies` (collective)."""
-    n_modes = min(N_FREQUENCIES_PER_CRACK_STATE, structure.n_modes)
+    n_modes = min(N_NATURAL_MODES_PER_CRACK_STATE, structure.n_modes)
     open_modes = solve_modes(structure, n_modes)
     bonded_modes = solve_bonded_modes(structure, n_modes)
     return BilinearFrequencies(
@@ -973,18 +984,22 @@ def find_bonded_mode_indices(open_modes: Modes, bonded_modes: Modes) -> np.ndarr
     """
     bonded_mass_shapes = multiply_columns(open_modes.structure.mass, bonded_modes.shapes)
     overlaps = open_modes.structure.sum_over_ranks(open_modes.shapes.T @ bonded_mass_shapes) ** 2
-    is_same_open, is_same_bonded = (
+    is_equal_open_frequency, is_equal_bonded_frequency = (
         np.isclose(omega[:, None], omega, rtol=MULTIPLE_FREQUENCY_TOLERANCE, atol=0.0).astype(float)
         for omega in (open_modes.omega, bonded_modes.omega)
     )
     is_bonded_slower = (
         bonded_modes.omega < (1.0 - MULTIPLE_FREQUENCY_TOLERANCE) * open_modes.omega[:, None]
     )
-    is_same_shape = (is_same_open @ overlaps @ is_same_bonded > 0.9) & ~is_bonded_slower
-    open_indices, bonded_indices = np.indices(overlaps.shape)
+    is_same_shape = (
+        is_equal_open_frequency @ overlaps @ is_equal_bonded_frequency > 0.9
+    ) & ~is_bonded_slower
+    open_mode_index_grid, bonded_mode_index_grid = np.indices(overlaps.shape)
     # A match needs a weight > 0.
     match_weights = (
-        1.0 + is_same_shape - MULTIPLE_FREQUENCY_TOLERANCE * (open_indices - bonded_indices) ** 2
+        1.0
+        + is_same_shape
+        - MULTIPLE_FREQUENCY_TOLERANCE * (open_mode_index_grid - bonded_mode_index_grid) ** 2
     )
     matched_rows_and_columns = min_weight_full_bipartite_matching(
         sparse.csr_matrix(match_weights), maximize=True

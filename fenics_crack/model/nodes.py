@@ -22,13 +22,13 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model.matrices import ReadOnlyArrays, floats_or_nan
+from fenics_crack.model.matrices import ReadOnlyArrays, floats_or_single_nan
 from fenics_crack.numerics.fourier import evaluate_series
 
 AXES = "xyz"
 """Names of the coordinate axes, and of displacement components."""
 
-MAX_NODE_DISTANCE_RATIO = 0.05
+MAX_POINT_TO_NODE_DISTANCE_RATIO = 0.05
 """Maximum distance of a point from its nearest node, relative to the size of the mesh."""
 
 
@@ -85,17 +85,19 @@ class Nodes(ReadOnlyArrays):
         mesh_extent = np.ptp(all_points, axis=0).max()
         nearest_index = int(np.argmin(distances))
         point_tuple = tuple(map(float, point))
-        hint = describe_nearest_node(all_points, point)
-        if distances[nearest_index] > MAX_NODE_DISTANCE_RATIO * mesh_extent:
-            raise InputError(key, point_tuple, f"on the mesh ({hint})")
+        nearest_node_text = describe_nearest_node(all_points, point)
+        if distances[nearest_index] > MAX_POINT_TO_NODE_DISTANCE_RATIO * mesh_extent:
+            raise InputError(key, point_tuple, f"on the mesh ({nearest_node_text})")
         if len(find_node_indices_at(all_points, all_points[nearest_index])) > 1:
             raise InputError(
                 key,
                 point_tuple,
-                f"near a node off the crack faces, where nodes are double ({hint})",
+                f"near a node off the crack faces, where nodes are double ({nearest_node_text})",
             )
         if np.all(all_node_dofs[nearest_index] < 0):
-            raise InputError(key, point_tuple, f"near a node that is not clamped ({hint})")
+            raise InputError(
+                key, point_tuple, f"near a node that is not clamped ({nearest_node_text})"
+            )
         return all_points[nearest_index], all_node_dofs[nearest_index]
 
 
@@ -181,7 +183,7 @@ def body_property(name: str) -> Any:
     return property(attrgetter(f"body.{name}"))
 
 
-class Coordinates:
+class DofsAndContactPairs:
     """Degrees of freedom and contact pairs of a structure; read-only.
 
     Dofs are numbered through all ranks, and each rank owns ``n_local`` successive ones.
@@ -207,7 +209,7 @@ class Coordinates:
     """
 
     body: Any
-    setting: Any
+    load_damping_clearance_changes: Any
     comm: MPI.Comm = body_property("comm")
     mass: Any = body_property("mass")
     gap: sparse.csr_matrix = body_property("gap")
@@ -282,8 +284,8 @@ class Coordinates:
         the load.
         """
         whole_structure = self.whole
-        if self.setting.watched_dof is not None:
-            return self.setting.watched_dof
+        if self.load_damping_clearance_changes.watched_dof is not None:
+            return self.load_damping_clearance_changes.watched_dof
         if whole_structure is not self:
             return int(whole_structure.watched_dof)
         if self.watched is None:
@@ -417,7 +419,7 @@ class Coordinates:
         """
         if isinstance(dofs, list | tuple) and None in dofs:
             dofs = [self.watched_dof if dof is None else dof for dof in dofs]
-        dof_numbers = np.atleast_1d(floats_or_nan(dofs)).ravel()
+        dof_numbers = np.atleast_1d(floats_or_single_nan(dofs)).ravel()
         if not np.all(
             (dof_numbers >= 0)
             & (dof_numbers < self.n_dofs)
@@ -455,16 +457,20 @@ class Coordinates:
                 f"{', '.join(map(repr, allowed_components[:-1]))} or {allowed_components[-1]!r}"
             )
             raise InputError("component", component, requirement)
-        coordinates = floats_or_nan(point)
+        coordinates = floats_or_single_nan(point)
         if coordinates.shape != (n_dimensions,) or not np.all(np.isfinite(coordinates)):
-            count_word = ("two", "three")[n_dimensions - 2]
-            requirement = f"[{', '.join(AXES[:n_dimensions])}], {count_word} finite numbers"
+            dimension_count_word = ("two", "three")[n_dimensions - 2]
+            requirement = (
+                f"[{', '.join(AXES[:n_dimensions])}], {dimension_count_word} finite numbers"
+            )
             raise InputError("point", point, requirement)
         points = gather_rows(comm, self.nodes.points)
         node_indices = find_node_indices_at(points, coordinates)
         if len(node_indices) != 1:
-            hint = describe_nearest_node(points, coordinates)
-            requirement = f"at exactly one node ({len(node_indices)} are there; {hint})"
+            nearest_node_text = describe_nearest_node(points, coordinates)
+            requirement = (
+                f"at exactly one node ({len(node_indices)} are there; {nearest_node_text})"
+            )
             raise InputError("point", tuple(coordinates), requirement)
         dofs_of_node = gather_rows(comm, self.nodes.dofs)[node_indices[0]]
         dof = int(dofs_of_node[allowed_components.index(component) % n_dimensions])
@@ -490,7 +496,7 @@ class Coordinates:
 
 
 @dataclass(frozen=True)
-class Clamp:
+class ClampReactionData:
     """Inertia and load of a mesh, for the reaction at the clamp.
 
     A rigid motion r of the whole mesh stretches nothing and closes no gap. With the displacement u
@@ -519,7 +525,7 @@ class Clamp:
     inertia: np.ndarray
     load: np.ndarray
 
-    def with_weights(self, load_weights: float | np.ndarray) -> Clamp:
+    def with_weights(self, load_weights: float | np.ndarray) -> ClampReactionData:
         """Return the clamp under the present load multiplied by weights.
 
         Parameters
@@ -556,13 +562,13 @@ class Clamp:
             Moments.
         """
         harmonic_omegas = omega * np.arange(1, len(waves) // 2 + 1)[:, None]
-        cosine_coefficients, sine_coefficients = waves[1::2], waves[2::2]
+        wave_cosine_coefficients, wave_sine_coefficients = waves[1::2], waves[2::2]
         inertia_waves = np.zeros_like(waves)
         inertia_waves[1::2] = harmonic_omegas * (
-            drag * sine_coefficients - harmonic_omegas * cosine_coefficients
+            drag * wave_sine_coefficients - harmonic_omegas * wave_cosine_coefficients
         )
         inertia_waves[2::2] = -harmonic_omegas * (
-            drag * cosine_coefficients + harmonic_omegas * sine_coefficients
+            drag * wave_cosine_coefficients + harmonic_omegas * wave_sine_coefficients
         )
         reactions_at_phases = evaluate_series(inertia_waves, 1.0, phases) - evaluate_series(
             self.load, subharmonic, phases
@@ -598,8 +604,10 @@ class Clamp:
         from scipy.interpolate import make_interp_spline  # takes a while, rarely used
 
         # A spline of degree 5 has a second derivative of fourth order.
-        spline = make_interp_spline(time, inertia_record, k=5)
-        inertia_forces = spline.derivative(2)(time) + drag * spline.derivative(1)(time)
+        inertia_record_spline = make_interp_spline(time, inertia_record, k=5)
+        inertia_forces = inertia_record_spline.derivative(2)(
+            time
+        ) + drag * inertia_record_spline.derivative(1)(time)
         return tuple(
             np.split(
                 inertia_forces - evaluate_series(self.load, omega, time), [len(self.center)], axis=1

@@ -21,7 +21,7 @@ from fenics_crack.basics.errors import (
     report_read_errors,
 )
 from fenics_crack.basics.untrusted_files import read_numbered_csv_rows
-from fenics_crack.model.matrices import floats_or_nan
+from fenics_crack.model.matrices import floats_or_single_nan
 from fenics_crack.numerics.fourier import from_complex
 
 
@@ -55,15 +55,15 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     >>> square, error = fc.load_harmonics([0.0, 0.5, 0.5, 1.0], [1.0, 1.0, -1.0, -1.0], 9)
     >>> sine = square[2::2]
     """
-    instants, load_samples = floats_or_nan(time), floats_or_nan(values)
+    instants, load_samples = floats_or_single_nan(time), floats_or_single_nan(values)
     check_count("harmonics", harmonics, 1, MAX_HARMONIC_ORDER)
-    is_time_valid = (
+    are_sample_times_valid = (
         instants.ndim == 1
         and len(instants) > 1
         and np.all(np.isfinite(instants))
         and instants[-1] > instants[0]
     )
-    if not is_time_valid or np.any(np.diff(instants) < 0.0):
+    if not are_sample_times_valid or np.any(np.diff(instants) < 0.0):
         raise InputError(
             "time", time, "two or more ascending times [s], from the first to the last of a period"
         )
@@ -78,24 +78,36 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
             f"finite numbers ({len(instants)},) or ({len(instants)}, m), one row per time",
         )
     sample_columns = load_samples.reshape(len(instants), -1)
-    phases = 2.0 * np.pi * (instants - instants[0]) / (instants[-1] - instants[0])
-    phase_steps, value_steps = np.diff(phases)[:, None], np.diff(sample_columns, axis=0)
-    start_values, end_values = sample_columns[:-1], sample_columns[1:]
-    mean = np.sum(phase_steps * (start_values + end_values), axis=0) / (4.0 * np.pi)
-    interval_square_sums = start_values**2 + start_values * end_values + end_values**2
-    mean_squares = np.sum(phase_steps * interval_square_sums, axis=0) / (6.0 * np.pi)
+    sample_phases = 2.0 * np.pi * (instants - instants[0]) / (instants[-1] - instants[0])
+    interval_phase_lengths, value_steps = (
+        np.diff(sample_phases)[:, None],
+        np.diff(sample_columns, axis=0),
+    )
+    interval_start_values, interval_end_values = sample_columns[:-1], sample_columns[1:]
+    mean = np.sum(
+        interval_phase_lengths * (interval_start_values + interval_end_values), axis=0
+    ) / (4.0 * np.pi)
+    interval_square_sums = (
+        interval_start_values**2
+        + interval_start_values * interval_end_values
+        + interval_end_values**2
+    )
+    mean_squares = np.sum(interval_phase_lengths * interval_square_sums, axis=0) / (6.0 * np.pi)
     interval_slopes = np.divide(
-        value_steps, phase_steps, out=np.zeros_like(value_steps), where=phase_steps > 0.0
+        value_steps,
+        interval_phase_lengths,
+        out=np.zeros_like(value_steps),
+        where=interval_phase_lengths > 0.0,
     )
     complex_coefficient_rows = [mean.astype(complex)]
     for harmonic_order in range(1, harmonics + 1):
-        positive_exponentials_at_phases = np.exp(1j * harmonic_order * phases)[:, None]
+        positive_exponentials_at_phases = np.exp(1j * harmonic_order * sample_phases)[:, None]
         # int f e = [f e / (i k)] + slope [e] / k^2 over each interval
         boundary_term = (
-            end_values * positive_exponentials_at_phases[1:]
-            - start_values * positive_exponentials_at_phases[:-1]
+            interval_end_values * positive_exponentials_at_phases[1:]
+            - interval_start_values * positive_exponentials_at_phases[:-1]
         ) / (1j * harmonic_order)
-        boundary_term = np.where(phase_steps > 0.0, boundary_term, 0.0)
+        boundary_term = np.where(interval_phase_lengths > 0.0, boundary_term, 0.0)
         fourier_integral = np.sum(
             boundary_term
             + interval_slopes
@@ -106,9 +118,11 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
         complex_coefficient_rows.append(np.conj(fourier_integral) / np.pi)
     coefficients = from_complex(np.array(complex_coefficient_rows))
     variance = float(np.sum(mean_squares - mean**2))
-    kept_variance = 0.5 * float(np.sum(coefficients[1:] ** 2))
+    variance_of_kept_harmonics = 0.5 * float(np.sum(coefficients[1:] ** 2))
     truncation_error = (
-        float(np.sqrt(max(0.0, 1.0 - kept_variance / variance))) if variance > 0.0 else 0.0
+        float(np.sqrt(max(0.0, 1.0 - variance_of_kept_harmonics / variance)))
+        if variance > 0.0
+        else 0.0
     )
     return coefficients.reshape(2 * harmonics + 1, *load_samples.shape[1:]), truncation_error
 

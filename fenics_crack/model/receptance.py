@@ -138,7 +138,7 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
         The structure comes from a file without matrices, and the file has fewer modes or another
         load.
     """
-    structure = structure.original
+    structure = structure.unvaried_structure
     known_receptances = structure.compute_once(make_empty_receptance_list)
     shared_receptances = structure.compute_once(
         make_empty_shared_receptance_list, from_matrices=True
@@ -182,26 +182,28 @@ def _convert_receptance_to_load(
     unless every part of the load is a linear combination of the other load's parts, to 1e-12.
     Returns None, too, if either the structure or the receptance has tangential pairs, but not both.
     """
-    known_load_coefficients = known_receptance.force
+    load_of_known_receptance = known_receptance.force
     new_load_rows = structure.force[find_loaded_row_mask(structure)]
-    all_load_rows = np.vstack(
+    known_and_new_load_rows = np.vstack(
         [
-            known_load_coefficients[find_loaded_row_mask(structure, known_load_coefficients)],
+            load_of_known_receptance[find_loaded_row_mask(structure, load_of_known_receptance)],
             new_load_rows,
         ]
     )
-    n_known_load_rows = len(all_load_rows) - len(new_load_rows)
+    n_known_load_rows = len(known_and_new_load_rows) - len(new_load_rows)
     if len(known_receptance.modal) - n_known_load_rows != pair_and_load_force_matrix(
         structure
     ).shape[1] - len(new_load_rows):
         return None  # only one of the two has tangents
-    gram_matrix = structure.sum_over_ranks(all_load_rows @ all_load_rows.T)
+    gram_matrix = structure.sum_over_ranks(known_and_new_load_rows @ known_and_new_load_rows.T)
     load_weights = (
         np.linalg.pinv(gram_matrix[:n_known_load_rows, :n_known_load_rows], hermitian=True)
         @ gram_matrix[:n_known_load_rows, n_known_load_rows:]
     )
     residual_norms_squared = structure.sum_over_ranks(
-        ((new_load_rows - load_weights.T @ all_load_rows[:n_known_load_rows]) ** 2).sum(axis=1)
+        ((new_load_rows - load_weights.T @ known_and_new_load_rows[:n_known_load_rows]) ** 2).sum(
+            axis=1
+        )
     )
     if np.any(
         residual_norms_squared > (ROUNDING * ROUNDING) * np.diag(gram_matrix)[n_known_load_rows:]
@@ -211,8 +213,8 @@ def _convert_receptance_to_load(
         np.eye(len(known_receptance.modal) - n_known_load_rows), load_weights
     )
     rows_by_dof = {
-        dof: (shape_row, residual_row @ source_transformation)
-        for dof, (shape_row, residual_row) in known_receptance.rows.items()
+        known_dof: (shape_row, residual_row @ source_transformation)
+        for known_dof, (shape_row, residual_row) in known_receptance.rows.items()
     }
     compliance = source_transformation.T @ known_receptance.compliance @ source_transformation
     return Receptance(
@@ -277,37 +279,43 @@ def _extend_receptance(
         begin_stage("static responses")
         # Without an elastic mode there may be further rigid-body motions.
         if known_receptance is None or known_receptance.squares[-1] == 0.0:
-            sources_shape = flexibility.modal_sources.shape[:1]
+            sources_shape = flexibility.modal_forces_of_sources.shape[:1]
             zero_compliance_and_inertia = np.zeros(sources_shape * 2), np.zeros(sources_shape)
-            compliance, inertia_diagonal = (
+            compliance, squared_omega_slope_of_compliance = (
                 zero_compliance_and_inertia
                 if has_all_modes
                 else flexibility.compliance_and_inertia(factored_stiffness)
             )
-            new_receptance = Receptance(
+            receptance_from_scratch = Receptance(
                 squares,
-                flexibility.modal_sources,
+                flexibility.modal_forces_of_sources,
                 compliance,
                 {},
                 structure.force,
-                inertia_diagonal[: structure.n_pairs],
+                squared_omega_slope_of_compliance[: structure.n_pairs],
             )
             _store_dof_rows(
-                new_receptance, structure, _loaded_dofs(structure), flexibility, factored_stiffness
+                receptance_from_scratch,
+                structure,
+                _loaded_dofs(structure),
+                flexibility,
+                factored_stiffness,
             )
-            return new_receptance
+            return receptance_from_scratch
     new_mode_range = slice(known_receptance.n_modes, None)
-    modal_flexibility = flexibility.modal_sources[:, new_mode_range] / squares[new_mode_range]
+    modal_flexibility = (
+        flexibility.modal_forces_of_sources[:, new_mode_range] / squares[new_mode_range]
+    )
     compliance = (
         known_receptance.compliance
-        - modal_flexibility @ flexibility.modal_sources[:, new_mode_range].T
+        - modal_flexibility @ flexibility.modal_forces_of_sources[:, new_mode_range].T
     )
-    inertia_diagonal = known_receptance.inertia - np.sum(
+    squared_omega_slope_of_compliance = known_receptance.inertia - np.sum(
         modal_flexibility[: structure.n_pairs] ** 2, axis=1
     )
     known_dofs = [*known_receptance.rows]
     shape_rows = structure.values_at(modes.shapes.T, known_dofs).T
-    residual_rows = (
+    static_displacement_rows = (
         np.array([residual_row for _, residual_row in known_receptance.rows.values()])
         - shape_rows[:, new_mode_range] @ modal_flexibility.T
     )
@@ -315,17 +323,17 @@ def _extend_receptance(
     rows_by_dof = dict(
         zip(
             known_dofs,
-            zip(shape_rows, residual_multiplier * residual_rows, strict=True),
+            zip(shape_rows, residual_multiplier * static_displacement_rows, strict=True),
             strict=True,
         )
     )
     return Receptance(
         squares,
-        flexibility.modal_sources,
+        flexibility.modal_forces_of_sources,
         residual_multiplier * compliance,
         rows_by_dof,
         structure.force,
-        residual_multiplier * inertia_diagonal,
+        residual_multiplier * squared_omega_slope_of_compliance,
     )
 
 
@@ -351,7 +359,7 @@ def modal_and_static_displacement_rows(
         Static displacements of the dofs by unit forces on pairs and load. The static flexibility
         omits the ``n_modes`` modes.
     """
-    known_receptance, structure = receptance(structure, n_modes), structure.original
+    known_receptance, structure = receptance(structure, n_modes), structure.unvaried_structure
     requested_dofs = [int(dof) for dof in dofs]
     missing_dofs = [
         dof for dof in dict.fromkeys(requested_dofs) if dof not in known_receptance.rows
@@ -362,14 +370,14 @@ def modal_and_static_displacement_rows(
             structure, shapes, known_receptance.squares, pair_and_load_force_matrix(structure)
         )
         _store_dof_rows(known_receptance, structure, np.array(missing_dofs), flexibility)
-    shape_rows, residual_rows = (
+    shape_rows, static_displacement_rows = (
         np.array(rows_of_dofs)
         for rows_of_dofs in zip(
             *(known_receptance.rows[dof] for dof in requested_dofs), strict=True
         )
     )
     return shape_rows[:, :n_modes], known_receptance.residual_response(
-        n_modes, residual_rows, shape_rows
+        n_modes, static_displacement_rows, shape_rows
     )
 
 
@@ -394,14 +402,14 @@ def expand_residual_response(
     -------
     (m, n_local) [m]
     """
-    is_nonzero_row = np.any(amplitudes != 0.0, axis=1)
+    has_nonzero_amplitudes = np.any(amplitudes != 0.0, axis=1)
     displacements = np.zeros((len(amplitudes), structure.n_local))
-    if np.any(is_nonzero_row):
-        sources = pair_and_load_force_matrix(structure.original)
-        flexibility = ResidualFlexibility(structure, shapes, squares, sources)
+    if np.any(has_nonzero_amplitudes):
+        unit_force_matrix = pair_and_load_force_matrix(structure.unvaried_structure)
+        flexibility = ResidualFlexibility(structure, shapes, squares, unit_force_matrix)
         with Factor(structure.stiffness, definite=True) as factored_stiffness:
-            displacements[is_nonzero_row] = flexibility.solve(
-                factored_stiffness, (sources @ amplitudes[is_nonzero_row].T).T
+            displacements[has_nonzero_amplitudes] = flexibility.solve(
+                factored_stiffness, (unit_force_matrix @ amplitudes[has_nonzero_amplitudes].T).T
             )
     return displacements
 
@@ -436,7 +444,7 @@ def _store_dof_rows(
         ),
         unit_forces_shape,
     )
-    residual_rows = np.zeros((len(dofs), len(known_receptance.modal)))
+    static_displacement_rows = np.zeros((len(dofs), len(known_receptance.modal)))
     if known_receptance.n_modes < structure.n_dofs:
         stiffness_factor = stiffness_factor_or_none or Factor(structure.stiffness, definite=True)
         with (
@@ -444,12 +452,12 @@ def _store_dof_rows(
             if stiffness_factor_or_none
             else stiffness_factor as usable_factor
         ):
-            residual_rows = flexibility.projected_compliance_and_inertia(
+            static_displacement_rows = flexibility.projected_compliance_and_inertia(
                 usable_factor, unit_forces
             )[0]
     shape_rows = structure.values_at(flexibility.shapes.T, dofs).T
     known_receptance.rows.update(
-        zip(map(int, dofs), zip(shape_rows, residual_rows, strict=True), strict=True)
+        zip(map(int, dofs), zip(shape_rows, static_displacement_rows, strict=True), strict=True)
     )
 
 
@@ -484,7 +492,7 @@ class ResidualFlexibility:
         Squares of the modes' frequencies.
     sources : (n_local, n_sources)
         X: the forces of unit amplitude, as a sparse matrix.
-    modal_sources : (n_sources, n_modes)
+    modal_forces_of_sources : (n_sources, n_modes)
         X^T Phi.
     """
 
@@ -493,7 +501,7 @@ class ResidualFlexibility:
     ) -> None:
         self.structure, self.shapes, self.squares = structure, shapes, squares
         self.sources = sparse.csr_matrix(sources)
-        self.modal_sources = structure.sum_over_ranks(self.sources.T @ shapes)
+        self.modal_forces_of_sources = structure.sum_over_ranks(self.sources.T @ shapes)
         # With a hinge that hardly resists, only rounding of the modal part would remain.
         self._is_well_supported = bool(np.all(squares > np.sqrt(MACHINE_EPSILON) * squares[-1:]))
 
@@ -536,35 +544,35 @@ class ResidualFlexibility:
         (m,)
             Diagonal of Y^T G M G Y.
         """
-        projected_compliance_parts, inertia_diagonal_parts = (
+        projected_compliance_parts, compliance_slope_parts = (
             [np.zeros((0, self.sources.shape[1]))],
             [np.zeros(0)],
         )
         for start in range(0, force_columns.shape[1], MAX_BLOCK_COLUMNS):
-            force_rows = force_columns[:, start : start + MAX_BLOCK_COLUMNS].T.toarray()
+            rows_of_force_block = force_columns[:, start : start + MAX_BLOCK_COLUMNS].T.toarray()
             # If K^-1 is small enough, its modal part is subtracted once, below.
             responses = (
-                stiffness_factor.solve(force_rows)
+                stiffness_factor.solve(rows_of_force_block)
                 if self._is_well_supported
-                else self.solve(stiffness_factor, force_rows)
+                else self.solve(stiffness_factor, rows_of_force_block)
             )
             projected_compliance_parts.append((self.sources.T @ responses.T).T)
-            inertia_diagonal_parts.append(
+            compliance_slope_parts.append(
                 np.sum(responses.T * multiply_columns(self.structure.mass, responses.T), axis=0)
             )
         projected_compliance: np.ndarray = self.structure.sum_over_ranks(
             np.concatenate(projected_compliance_parts)
         )
-        inertia_diagonal: np.ndarray = self.structure.sum_over_ranks(
-            np.concatenate(inertia_diagonal_parts)
+        squared_omega_slope_of_compliance: np.ndarray = self.structure.sum_over_ranks(
+            np.concatenate(compliance_slope_parts)
         )
         if self._is_well_supported:
             modal_flexibility = (
                 self.structure.sum_over_ranks(force_columns.T @ self.shapes) / self.squares
             )
-            projected_compliance -= modal_flexibility @ self.modal_sources.T
-            inertia_diagonal -= np.sum(modal_flexibility**2, axis=1)
-        return projected_compliance, inertia_diagonal
+            projected_compliance -= modal_flexibility @ self.modal_forces_of_sources.T
+            squared_omega_slope_of_compliance -= np.sum(modal_flexibility**2, axis=1)
+        return projected_compliance, squared_omega_slope_of_compliance
 
     def compliance_and_inertia(self, stiffness_factor: Factor) -> tuple[np.ndarray, np.ndarray]:
         """Return the static compliance of ``sources`` X and its w^2 term (collective).
@@ -579,7 +587,9 @@ class ResidualFlexibility:
         (n_sources,)
             Diagonal of X^T G M G X, the derivative of the dynamic compliance's diagonal by w^2.
         """
-        unsymmetric_compliance, inertia_diagonal = self.projected_compliance_and_inertia(
-            stiffness_factor, self.sources
+        unsymmetric_compliance, squared_omega_slope_of_compliance = (
+            self.projected_compliance_and_inertia(stiffness_factor, self.sources)
         )
-        return 0.5 * (unsymmetric_compliance + unsymmetric_compliance.T), inertia_diagonal
+        return 0.5 * (
+            unsymmetric_compliance + unsymmetric_compliance.T
+        ), squared_omega_slope_of_compliance

@@ -32,11 +32,11 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import hertz_property
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import make_matrix_from_local_rows
-from fenics_crack.model.modes import NEGLIGIBLE, solve_modes
+from fenics_crack.model.modes import STIFFNESS_SOLUTION_ROUNDING, solve_modes
 from fenics_crack.model.nodes import body_property
 from fenics_crack.model.receptance import (
     expand_residual_response,
@@ -44,7 +44,9 @@ from fenics_crack.model.receptance import (
 )
 from fenics_crack.model.structure import DampingRule, Structure
 
-MASS_REMEDY = "reduce it with method = 'free_interface', or use integrate_exponential"
+REMEDY_FOR_MASSLESS_CRACK_FACES = (
+    "reduce it with method = 'free_interface', or use integrate_exponential"
+)
 """Remedy for a scheme that needs mass at the crack faces."""
 
 
@@ -54,7 +56,7 @@ class ReducedBody(Body):
 
     ``source`` is the structure that was reduced. ``basis``, ``omega`` and ``reference`` are
     explained in :class:`ReducedStructure`. ``error_share_removed_by_larger_reduction`` is its
-    attribute ``share``.
+    attribute ``error_share_removed_by_reference``.
     """
 
     source: Structure
@@ -95,10 +97,10 @@ def _make_body_fields(
         damping = make_matrix_from_local_rows(
             scipy.linalg.block_diag(damping, 0.0 * massless_stiffness), MPI.COMM_SELF
         )
-    mass_or_zero_diagonal = sparse.diags(np.repeat([1.0, 0.0], [n_modes, n_massless]))
+    mass_diagonal_with_massless_zeros = sparse.diags(np.repeat([1.0, 0.0], [n_modes, n_massless]))
     stiffness_blocks = sparse.block_diag([sparse.diags(squared_frequencies), massless_stiffness])
     return {
-        "mass": make_matrix_from_local_rows(mass_or_zero_diagonal, MPI.COMM_SELF),
+        "mass": make_matrix_from_local_rows(mass_diagonal_with_massless_zeros, MPI.COMM_SELF),
         "stiffness": make_matrix_from_local_rows(stiffness_blocks, MPI.COMM_SELF),
         "gap": gap, "tangential": tangential_gap, "force": force, "clearance": source.clearance,
         "damping": damping, "nodes": source.nodes, "pairs": source.pairs,
@@ -106,6 +108,7 @@ def _make_body_fields(
     }  # fmt: skip
 
 
+@keep_old_attribute_names(share="error_share_removed_by_reference")
 class ReducedStructure(Structure):
     """A structure in few coordinates q: displacements are u = T q with a basis T.
 
@@ -122,7 +125,7 @@ class ReducedStructure(Structure):
         Frequencies of these modes.
     reference : ReducedStructure or None
         Reduction to a larger basis, to estimate the reduction error.
-    share : float
+    error_share_removed_by_reference : float
         Fraction of the truncation error that the reference is assumed to remove. The difference
         between both reductions is divided by this fraction to estimate the error. The fraction is
         0.75 if the reference has further static shapes, and at most 0.5 if it has more modes. If
@@ -132,7 +135,9 @@ class ReducedStructure(Structure):
     body: ReducedBody
     basis: np.ndarray = body_property("basis")
     omega: np.ndarray = body_property("omega")
-    share: float = body_property("error_share_removed_by_larger_reduction")
+    error_share_removed_by_reference: float = body_property(
+        "error_share_removed_by_larger_reduction"
+    )
     frequency = hertz_property()
 
     def __init__(
@@ -155,14 +160,14 @@ class ReducedStructure(Structure):
         return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs"
 
     @cached_property
-    def _source(self) -> Structure:
+    def _source_structure(self) -> Structure:
         """Structure that was reduced, under the same load, clearance and damping factor."""
         return self._apply_setting(self.body.source)
 
     @property
     def whole(self) -> Structure:
         """Structure with all dofs, even if it was reduced repeatedly."""
-        return self._source.whole
+        return self._source_structure.whole
 
     @cached_property
     def reference(self) -> ReducedStructure | None:
@@ -174,10 +179,11 @@ class ReducedStructure(Structure):
 
     def damped(self, damping: DampingRule | None) -> Self:
         """Return this structure with another damping, also in the reference."""
-        body_reference = self.body.reference
+        larger_reduction = self.body.reference
         damped_structure = super().damped(damping)
         return damped_structure._in_setting(
-            damped_structure.setting, reference=body_reference and body_reference.damped(damping)
+            damped_structure.load_damping_clearance_changes,
+            reference=larger_reduction and larger_reduction.damped(damping),
         )
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
@@ -186,7 +192,7 @@ class ReducedStructure(Structure):
         The displacements are u = T q, with the basis T and the coordinates q, ``displacement`` (m,
         n_dofs).
         """
-        return self._source.expand(displacement @ self.basis.T)
+        return self._source_structure.expand(displacement @ self.basis.T)
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
         """Return displacements at dofs of the whole structure: (m, len(dofs)) (collective).
@@ -198,13 +204,14 @@ class ReducedStructure(Structure):
         dofs : sequence of int or None
             Numbers of dofs; None stands for the watched dof.
         """
-        return displacement @ self._source.values_at(self.basis.T, dofs)
+        return displacement @ self._source_structure.values_at(self.basis.T, dofs)
 
     def _plain_structure_with_changes(self, **changes: Any) -> Structure:
         """Return a plain Structure with the coordinates as dofs, without node positions."""
         return super()._plain_structure_with_changes(**({"nodes": None} | changes))
 
 
+@keep_old_attribute_names(light_lips="has_massless_crack_faces")
 class QuasiStaticReduction(ReducedStructure):
     """Reduced structure whose modes alone have mass; the truncated part is quasi-static.
 
@@ -219,7 +226,7 @@ class QuasiStaticReduction(ReducedStructure):
         inertia.
     """
 
-    light_lips = True
+    has_massless_crack_faces = True
     shapes: np.ndarray
     truncated_flexibility_root: np.ndarray
 
@@ -246,7 +253,7 @@ class QuasiStaticReduction(ReducedStructure):
         """
         damping = self.body.damping
         if isinstance(damping, DampingRule):
-            return damping.for_modes(self.n_modes).rate(self.omega**2)
+            return damping.rule_for_n_modes(self.n_modes).rate(self.omega**2)
         if damping is None:
             return np.zeros(self.n_modes)
         mode_range = range(self.n_modes)
@@ -271,7 +278,9 @@ class MasslessBody(ReducedBody):
     inverse_compliance_root: np.ndarray
 
 
-@with_old_names(rate="modal_damping", residual="residual_compliance")
+@keep_old_attribute_names(
+    compliance="truncated_static_compliance", rate="modal_damping", residual="residual_compliance"
+)
 class MasslessStructure(QuasiStaticReduction):
     """Structure reduced to modes with mass and crack faces without mass.
 
@@ -302,7 +311,7 @@ class MasslessStructure(QuasiStaticReduction):
         compliance: np.ndarray,
         *,
         reference: MasslessStructure | None,
-        share: float = 0.5,
+        error_share_removed_by_reference: float = 0.5,
     ) -> None:
         """Make the structure from modes Phi and the static compliance of all other modes.
 
@@ -328,7 +337,7 @@ class MasslessStructure(QuasiStaticReduction):
             removes (:class:`ReducedStructure`).
         """
         if isinstance(damping, DampingRule):
-            damping = damping.for_modes(len(squares))
+            damping = damping.rule_for_n_modes(len(squares))
         pair_columns = np.vstack([modal_pairs, compliance[:, : modal_pairs.shape[1]]])
         gap, tangential_columns = np.split(pair_columns, [source.n_pairs], axis=1)
         tangential_gap = None if source.tangential is None else tangential_columns
@@ -336,13 +345,13 @@ class MasslessStructure(QuasiStaticReduction):
             source, squares, damping, gap, tangential_gap, force, compliance
         )
         field_by_name["inverse_compliance_root"] = _root_of_pseudoinverse(compliance)
-        field_by_name["error_share_removed_by_larger_reduction"] = share
+        field_by_name["error_share_removed_by_larger_reduction"] = error_share_removed_by_reference
         Structure.__init__(self, MasslessBody(**field_by_name, reference=reference))
 
     @property
     def basis(self) -> np.ndarray:  # type: ignore[override]
         """Mode shapes Phi on the dofs: (whole.n_local, n_modes)."""
-        return solve_modes(self._source, self.n_modes).shapes
+        return solve_modes(self._source_structure, self.n_modes).shapes
 
     @property
     def shapes(self) -> np.ndarray:  # type: ignore[override]
@@ -396,28 +405,34 @@ class MasslessStructure(QuasiStaticReduction):
             scaled_gaps_by_mode.T @ scaled_gaps_by_mode + residual_compliance
         )
         tie_flexibilities, tie_eigenvectors = np.linalg.eigh(ties.T @ residual_compliance @ ties)
-        ties, is_soft_tie = ties @ tie_eigenvectors, tie_flexibilities > NEGLIGIBLE
-        rigid_tie_gaps = gaps_by_mode @ ties[:, ~is_soft_tie]
-        allowed_motions = (
-            scipy.linalg.null_space(rigid_tie_gaps.T)
-            if rigid_tie_gaps.size
+        ties, is_soft_tie = ties @ tie_eigenvectors, tie_flexibilities > STIFFNESS_SOLUTION_ROUNDING
+        rigid_tie_gaps_by_mode = gaps_by_mode @ ties[:, ~is_soft_tie]
+        null_space_of_rigid_ties = (
+            scipy.linalg.null_space(rigid_tie_gaps_by_mode.T)
+            if rigid_tie_gaps_by_mode.size
             else np.eye(self.n_modes)
         )
-        modal_pair_forces = (ties[:, is_soft_tie] / tie_flexibilities[is_soft_tie]) @ (
+        bond_forces_by_open_mode = (ties[:, is_soft_tie] / tie_flexibilities[is_soft_tie]) @ (
             gaps_by_mode @ ties[:, is_soft_tie]
         ).T
         squares, eigenvectors = np.linalg.eigh(
-            allowed_motions.T
-            @ (np.diag(self.omega**2) + gaps_by_mode @ modal_pair_forces)
-            @ allowed_motions
+            null_space_of_rigid_ties.T
+            @ (np.diag(self.omega**2) + gaps_by_mode @ bond_forces_by_open_mode)
+            @ null_space_of_rigid_ties
         )
-        modal_shapes = allowed_motions @ eigenvectors
-        static_amplitudes = np.zeros((self.n_dofs - self.n_modes, modal_shapes.shape[1]))
-        static_amplitudes[: self.n_pairs] = -modal_pair_forces @ modal_shapes
-        return np.sqrt(np.maximum(squares, 0.0)), np.vstack([modal_shapes, static_amplitudes])
+        bonded_shapes_in_open_modes = null_space_of_rigid_ties @ eigenvectors
+        massless_amplitudes = np.zeros(
+            (self.n_dofs - self.n_modes, bonded_shapes_in_open_modes.shape[1])
+        )
+        massless_amplitudes[: self.n_pairs] = (
+            -bond_forces_by_open_mode @ bonded_shapes_in_open_modes
+        )
+        return np.sqrt(np.maximum(squares, 0.0)), np.vstack(
+            [bonded_shapes_in_open_modes, massless_amplitudes]
+        )
 
     @property
-    def compliance(self) -> np.ndarray:
+    def truncated_static_compliance(self) -> np.ndarray:
         """Static compliance S = X^T G X of pairs and load, without the modes.
 
         X are unit forces on pairs and load, and G is the static flexibility of the truncated modes.
@@ -452,13 +467,13 @@ class MasslessStructure(QuasiStaticReduction):
         -------
         (m, whole.n_local) [m]
         """
-        return self._source.expand(self._expand_to_source(displacement))
+        return self._source_structure.expand(self._expand_to_source(displacement))
 
     def _expand_to_source(self, displacement: np.ndarray) -> np.ndarray:
         """Expand coordinates (m, n_dofs) to the structure that was reduced (collective)."""
-        modal_amplitudes, static_amplitudes = np.split(displacement, [self.n_modes], axis=1)
+        modal_amplitudes, massless_amplitudes = np.split(displacement, [self.n_modes], axis=1)
         return modal_amplitudes @ self.basis.T + expand_residual_response(
-            self._source, self.basis, self.omega**2, static_amplitudes
+            self._source_structure, self.basis, self.omega**2, massless_amplitudes
         )
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
@@ -476,13 +491,15 @@ class MasslessStructure(QuasiStaticReduction):
         (m, n) [m]
             Displacements, a row for each row of ``displacement``.
         """
-        if self._source.whole is not self._source:  # it is reduced itself
-            return self._source.values_at(self._expand_to_source(displacement), dofs)
-        checked_dofs = self._source.as_dof_numbers(dofs)
+        if self._source_structure.whole is not self._source_structure:  # it is reduced itself
+            return self._source_structure.values_at(self._expand_to_source(displacement), dofs)
+        checked_dofs = self._source_structure.as_dof_numbers(dofs)
         return (
             displacement
             @ np.hstack(
-                modal_and_static_displacement_rows(self._source, self.n_modes, checked_dofs)
+                modal_and_static_displacement_rows(
+                    self._source_structure, self.n_modes, checked_dofs
+                )
             ).T
         )
 
@@ -492,7 +509,7 @@ def check_faces_have_mass(structure: Structure, remedy: str) -> None:
 
     ``remedy`` is the advice in the error.
     """
-    if structure.light_lips:
+    if structure.has_massless_crack_faces:
         raise InputError(
             "structure", repr(structure), f"a structure whose crack faces have mass; {remedy}"
         )
@@ -509,14 +526,17 @@ def _root_of_pseudoinverse(compliance: np.ndarray) -> np.ndarray:
     The root has W^T C W = I. Loads and pairs have different units, so C is scaled to a unit
     diagonal first. Eigenvalues up to 1e-12 of the largest count as zero.
     """
-    diagonal_roots = np.sqrt(np.maximum(np.diag(compliance), 0.0))
+    roots_of_compliance_diagonal = np.sqrt(np.maximum(np.diag(compliance), 0.0))
     unit_diagonal_scale = np.divide(
-        1.0, diagonal_roots, out=np.zeros_like(diagonal_roots), where=diagonal_roots > 0.0
+        1.0,
+        roots_of_compliance_diagonal,
+        out=np.zeros_like(roots_of_compliance_diagonal),
+        where=roots_of_compliance_diagonal > 0.0,
     )
     eigenvalues, eigenvectors = np.linalg.eigh(
         unit_diagonal_scale[:, None] * compliance * unit_diagonal_scale
     )
-    is_kept = eigenvalues > NEGLIGIBLE * eigenvalues.max(initial=0.0)
+    is_kept = eigenvalues > STIFFNESS_SOLUTION_ROUNDING * eigenvalues.max(initial=0.0)
     return np.asarray(
         unit_diagonal_scale[:, None] * eigenvectors[:, is_kept] / np.sqrt(eigenvalues[is_kept])
     )

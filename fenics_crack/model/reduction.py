@@ -43,7 +43,7 @@ from fenics_crack.model.modal import MAX_DENSE_SIZE
 from fenics_crack.model.modes import (
     ZERO_TOLERANCE,
     count_damped_modes,
-    damped_modes,
+    modes_with_modal_damping,
     multiply_columns,
     orthonormalise_against_basis,
     project_damping_on_modes,
@@ -56,7 +56,7 @@ from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamp
 
 REDUCTION_METHODS = ("massless", "free_interface")
 """Methods of :func:`reduce_structure`: crack faces without mass, or with mass."""
-MIN_REFERENCE_ERROR_SHARE = 0.1
+MIN_ERROR_SHARE_REMOVED_BY_REFERENCE = 0.1
 """Minimum share of the truncation error that a reference is taken to remove.
 
 The error estimate is divided by the share. A reference with a smaller share tells nothing about the
@@ -135,7 +135,7 @@ def reduce_structure(
         return _reduce_massless(structure, int(modes), reference)
 
     if is_modally_damped:  # more modes, which are cached
-        damped_modes(structure)
+        modes_with_modal_damping(structure)
     begin_stage("reduction")
     with Factor(structure.stiffness, definite=True) as stiffness_factor:
         computed_modes = solve_modes_with_factor(stiffness_factor, structure, int(modes))
@@ -145,14 +145,16 @@ def reduce_structure(
         ) as factor:
             # Static responses to pair forces and load, without the part of the modes.
             nonzero_load_rows = structure.force[find_loaded_row_mask(structure)]
-            unit_force_rows = np.vstack([structure.gap.T.toarray(), nonzero_load_rows])
-            flexibility = ResidualFlexibility(structure, mode_shapes, squares, unit_force_rows.T)
-            static_shapes = flexibility.solve(factor, unit_force_rows).T
+            unit_pair_and_load_forces = np.vstack([structure.gap.T.toarray(), nonzero_load_rows])
+            flexibility = ResidualFlexibility(
+                structure, mode_shapes, squares, unit_pair_and_load_forces.T
+            )
+            static_shapes = flexibility.solve(factor, unit_pair_and_load_forces).T
             own_compliances = structure.sum_over_ranks(
-                (unit_force_rows.T * static_shapes).sum(axis=0)
+                (unit_pair_and_load_forces.T * static_shapes).sum(axis=0)
             )
             is_rounding = _is_residual_flexibility_rounding(
-                own_compliances, flexibility.modal_sources.T, squares
+                own_compliances, flexibility.modal_forces_of_sources.T, squares
             )
             static_shapes = static_shapes[:, ~is_rounding]
             static_shapes = orthonormalise_against_basis(
@@ -160,7 +162,7 @@ def reduce_structure(
             )
             if not reference:
                 return _reduce_to_vectors(structure, mode_shapes, squares, static_shapes, None)
-            reference_vectors = [
+            vector_blocks_of_larger_reduction = [
                 static_shapes,
                 factor.solve(multiply_columns(structure.mass, static_shapes).T).T,
             ]
@@ -168,11 +170,13 @@ def reduce_structure(
                 damping_forces = multiply_columns(
                     structure.damping_matrix, np.hstack([mode_shapes, static_shapes])
                 )
-                reference_vectors.append(factor.solve(damping_forces.T).T)
-    reference_structure = _reduce_to_vectors(
-        structure, mode_shapes, squares, np.hstack(reference_vectors), None
+                vector_blocks_of_larger_reduction.append(factor.solve(damping_forces.T).T)
+    larger_reduced_structure = _reduce_to_vectors(
+        structure, mode_shapes, squares, np.hstack(vector_blocks_of_larger_reduction), None
     )
-    return _reduce_to_vectors(structure, mode_shapes, squares, static_shapes, reference_structure)
+    return _reduce_to_vectors(
+        structure, mode_shapes, squares, static_shapes, larger_reduced_structure
+    )
 
 
 def _reduce_massless(
@@ -187,56 +191,77 @@ def _reduce_massless(
     ``reference_choice`` False: no reference. A number above ``n_kept``: number of modes in the
     reference.
 
-    The reference removes a fraction of the truncation error, the attribute ``share``. The estimate
-    is 1 - J_r / J. J is the sum of :meth:`Receptance.inertia_beyond` for ``n_kept`` modes, and J_r
-    the sum for the reference's modes. The fraction is at least 0.1, and at most 0.5 unless the
-    reference has all modes.
+    The reference removes a fraction of the truncation error, the attribute
+    ``error_share_removed_by_reference``. The estimate is 1 - J_r / J. J is the sum of
+    :meth:`Receptance.inertia_beyond` for ``n_kept`` modes, and J_r the sum for the reference's
+    modes. The fraction is at least 0.1, and at most 0.5 unless the reference has all modes.
 
     InputError: ``n_kept`` modes leave out a rigid-body motion.
     """
-    original = structure.original
-    n_doubled, max_reference = n_kept + max(n_kept, 10), original.n_dofs - original.n_pairs
-    n_reference_modes = min(n_doubled, max_reference) if max_reference > n_kept else original.n_dofs
-    if has_given_reference := reference_choice is not True and reference_choice > n_kept:
+    original = structure.unvaried_structure
+    n_wanted_reference_modes, max_reference_modes = (
+        n_kept + max(n_kept, 10),
+        original.n_dofs - original.n_pairs,
+    )
+    n_reference_modes = (
+        min(n_wanted_reference_modes, max_reference_modes)
+        if max_reference_modes > n_kept
+        else original.n_dofs
+    )
+    if has_given_reference_mode_count := reference_choice is not True and reference_choice > n_kept:
         n_reference_modes = int(reference_choice)
-    mode_counts = (n_reference_modes, n_kept) if reference_choice else (n_kept,)
-    largest_receptance = receptance(original, max(mode_counts))
-    if n_missing_rigid_modes := np.count_nonzero(largest_receptance.squares[n_kept:] == 0.0):
+    reference_and_kept_mode_counts = (n_reference_modes, n_kept) if reference_choice else (n_kept,)
+    receptance_with_most_modes = receptance(original, max(reference_and_kept_mode_counts))
+    if n_missing_rigid_modes := np.count_nonzero(
+        receptance_with_most_modes.squares[n_kept:] == 0.0
+    ):
         requirement = f"at least {n_kept + n_missing_rigid_modes}, to keep all rigid-body motions"
         raise InputError("modes", n_kept, requirement)
     if (
         reference_choice
-        and not has_given_reference
-        and n_reference_modes < n_doubled
-        and n_reference_modes == max_reference
+        and not has_given_reference_mode_count
+        and n_reference_modes < n_wanted_reference_modes
+        and n_reference_modes == max_reference_modes
     ):
         pair_range = slice(original.n_pairs)
-        reference_compliance, compliance = (
-            np.diag(largest_receptance.compliance_beyond(n_modes))[pair_range]
-            for n_modes in mode_counts
+        compliance_beyond_reference_modes, compliance = (
+            np.diag(receptance_with_most_modes.compliance_beyond(n_modes))[pair_range]
+            for n_modes in reference_and_kept_mode_counts
         )
-        if np.any(reference_compliance > compliance - reference_compliance):
-            mode_counts = (original.n_dofs, n_kept)
-            largest_receptance = receptance(original, original.n_dofs)
-    is_loaded_row, modal_sources = (find_loaded_row_mask(original), largest_receptance.modal.T)
-    n_load_rows = len(is_loaded_row)
-    n_gaps = len(largest_receptance.modal) - np.count_nonzero(is_loaded_row)
+        if np.any(
+            compliance_beyond_reference_modes > compliance - compliance_beyond_reference_modes
+        ):
+            reference_and_kept_mode_counts = (original.n_dofs, n_kept)
+            receptance_with_most_modes = receptance(original, original.n_dofs)
+    is_nonzero_load_part, modal_sources = (
+        find_loaded_row_mask(original),
+        receptance_with_most_modes.modal.T,
+    )
+    n_load_fourier_parts = len(is_nonzero_load_part)
+    n_gaps = len(receptance_with_most_modes.modal) - np.count_nonzero(is_nonzero_load_part)
     # The amplitudes of the load's parts are unknowns, and S maps them to their forces.
-    load_selection_matrix = np.hstack(
-        [np.zeros((n_load_rows, n_gaps)), np.eye(n_load_rows)[:, is_loaded_row]]
+    nonzero_load_part_selection = np.hstack(
+        [
+            np.zeros((n_load_fourier_parts, n_gaps)),
+            np.eye(n_load_fourier_parts)[:, is_nonzero_load_part],
+        ]
     )
     inertia_sums = [
-        float(largest_receptance.inertia_beyond(n_modes).sum()) for n_modes in mode_counts
+        float(receptance_with_most_modes.inertia_beyond(n_modes).sum())
+        for n_modes in reference_and_kept_mode_counts
     ]
-    error_share = max(
-        1.0 - inertia_sums[0] / max(inertia_sums[-1], 1e-300), MIN_REFERENCE_ERROR_SHARE
+    error_share_removed_by_reference = max(
+        1.0 - inertia_sums[0] / max(inertia_sums[-1], 1e-300), MIN_ERROR_SHARE_REMOVED_BY_REFERENCE
     )
-    error_share = min(error_share, 1.0 if mode_counts[0] == original.n_dofs else 0.5)
-    damping_rule, massless_structure = original.damping, None
+    error_share_removed_by_reference = min(
+        error_share_removed_by_reference,
+        1.0 if reference_and_kept_mode_counts[0] == original.n_dofs else 0.5,
+    )
+    damping_rule, massless_reduced_structure = original.damping, None
     damping: Any = damping_rule
-    for n_modes in mode_counts:
-        compliance = largest_receptance.compliance_beyond(n_modes)
-        squares = largest_receptance.squares[:n_modes]
+    for n_modes in reference_and_kept_mode_counts:
+        compliance = receptance_with_most_modes.compliance_beyond(n_modes)
+        squares = receptance_with_most_modes.squares[:n_modes]
         is_rounding = _is_residual_flexibility_rounding(
             np.diag(compliance), modal_sources[:n_modes], squares
         )
@@ -244,18 +269,21 @@ def _reduce_massless(
         compliance[is_rounding] = compliance[:, is_rounding] = 0.0
         if not isinstance(damping_rule, DampingRule | None):
             damping = _reduce_damping(original, solve_modes(original, n_modes).shapes, squares)
-        massless_structure = MasslessStructure(
+        massless_reduced_structure = MasslessStructure(
             original,
             squares,
             damping,
             modal_sources[:n_modes, :n_gaps],
-            load_selection_matrix @ np.hstack([largest_receptance.modal[:, :n_modes], compliance]),
+            nonzero_load_part_selection
+            @ np.hstack([receptance_with_most_modes.modal[:, :n_modes], compliance]),
             compliance,
-            reference=massless_structure,
-            share=error_share if n_modes == mode_counts[-1] else 0.5,
+            reference=massless_reduced_structure,
+            error_share_removed_by_reference=error_share_removed_by_reference
+            if n_modes == reference_and_kept_mode_counts[-1]
+            else 0.5,
         )
-    assert massless_structure is not None
-    return massless_structure._in_setting(structure.setting)
+    assert massless_reduced_structure is not None
+    return massless_reduced_structure._in_setting(structure.load_damping_clearance_changes)
 
 
 def _is_residual_flexibility_rounding(

@@ -33,10 +33,15 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.basics.ranks import collect_garbage, gather_rows
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM
 from fenics_crack.model.body import Body
 from fenics_crack.model.contact import solve_complementarity
-from fenics_crack.model.factor import Factor, make_matrix_from_local_rows, weighted_sum
+from fenics_crack.model.factor import (
+    Factor,
+    make_matrix_from_local_rows,
+    matrix_plus_weighted_matrix,
+)
 from fenics_crack.model.matrices import read_only_array, read_only_csr_matrix
 from fenics_crack.model.modes import (
     ZERO_TOLERANCE,
@@ -62,7 +67,7 @@ class Rotation:
 
     Attributes
     ----------
-    at_rest : Structure
+    structure_at_rest : Structure
         The structure without rotation: K and its own load.
     rotation_stiffness : PETSc.Mat
         K_1 = K_g - M_y at 1 rad/s: (n, n) [kg]. K_g is stress stiffening, M_y spin softening.
@@ -74,13 +79,13 @@ class Rotation:
         W [rad/s].
     """
 
-    at_rest: Structure
+    structure_at_rest: Structure
     rotation_stiffness: Any
     displaced_shape_stiffness_terms: tuple[Any, Any]
     force: np.ndarray
     speed: float
 
-    def at(self, speed: float) -> Structure:
+    def structure_rotating_at_speed(self, speed: float) -> Structure:
         """Return the structure at a speed [rad/s]; at 0 the one at rest (collective).
 
         Raises
@@ -91,24 +96,24 @@ class Rotation:
         """
         check_number("speed", speed, 0.0)
         if speed == 0.0:
-            return self.at_rest
-        static_shape_stiffness, stiffness = self.static_shape_and_motion_stiffness(speed)
+            return self.structure_at_rest
+        stiffness_for_static_displacement, stiffness = self.static_and_motion_stiffness(speed)
         with Factor(stiffness) as factored_stiffness:
             if factored_stiffness.n_negative_pivots or factored_stiffness.n_null_pivots:
                 raise InputError(
-                    "rotation.speed", speed, describe_unstable_speed(self.at_rest, speed)
+                    "rotation.speed", speed, describe_unstable_speed(self.structure_at_rest, speed)
                 )
-        with Factor(static_shape_stiffness, definite=True) as factored_stiffness:
+        with Factor(stiffness_for_static_displacement, definite=True) as factored_stiffness:
             rotation_displacement = factored_stiffness.solve(speed**2 * self.force[None]).T
-        static_shape_stiffness.destroy()
-        load_coefficients = self.at_rest.force.copy()
+        stiffness_for_static_displacement.destroy()
+        load_coefficients = self.structure_at_rest.force.copy()
         load_coefficients[0] += multiply_columns(stiffness, rotation_displacement)[:, 0]
         rotation = replace(self, speed=speed)
-        return self.at_rest._plain_structure_with_changes(
+        return self.structure_at_rest._plain_structure_with_changes(
             stiffness=stiffness, force=load_coefficients, rotation=rotation
         )
 
-    def static_shape_and_motion_stiffness(self, speed: float) -> tuple[Any, Any]:
+    def static_and_motion_stiffness(self, speed: float) -> tuple[Any, Any]:
         """Return the stiffness for the static displacement and for vibration (collective).
 
         W is ``speed`` [rad/s], K the stiffness at rest, and K_1 the ``rotation_stiffness``.
@@ -120,20 +125,25 @@ class Rotation:
         PETSc.Mat
             K(W), for vibration about the displaced shape.
         """
-        speed_squared, (K_2, K_3) = speed**2, self.displaced_shape_stiffness_terms
-        static_shape_stiffness = weighted_sum(
-            self.at_rest.stiffness, speed_squared, self.rotation_stiffness
+        speed_squared, (K_2_per_squared_speed, K_3_per_fourth_power_of_speed) = (
+            speed**2,
+            self.displaced_shape_stiffness_terms,
         )
-        displaced_shape_stiffness = weighted_sum(K_2, speed_squared, K_3)
-        motion_stiffness = weighted_sum(
-            static_shape_stiffness, speed_squared, displaced_shape_stiffness
+        stiffness_for_static_displacement = matrix_plus_weighted_matrix(
+            self.structure_at_rest.stiffness, speed_squared, self.rotation_stiffness
+        )
+        displaced_shape_stiffness = matrix_plus_weighted_matrix(
+            K_2_per_squared_speed, speed_squared, K_3_per_fourth_power_of_speed
+        )
+        motion_stiffness = matrix_plus_weighted_matrix(
+            stiffness_for_static_displacement, speed_squared, displaced_shape_stiffness
         )
         displaced_shape_stiffness.destroy()
-        return static_shape_stiffness, motion_stiffness
+        return stiffness_for_static_displacement, motion_stiffness
 
     def with_changed_rest_structure(self, change: Callable[[Structure], Structure]) -> Rotation:
         """Return the same terms of rotation, with ``change`` applied to the structure at rest."""
-        return replace(self, at_rest=change(self.at_rest))
+        return replace(self, structure_at_rest=change(self.structure_at_rest))
 
 
 def static_displacement_and_forces(
@@ -193,7 +203,7 @@ def describe_unstable_speed(structure: Structure, speed: float) -> str:
     subject, problem = "the plate", f"is unstable at {speed / RAD_PER_S_PER_RPM:.6g} rpm"
     if structure.nodes is not None:
         mesh_extents = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
-        extents_text = " x ".join(f"{size:.3g}" for size in mesh_extents)
+        extents_text = " x ".join(f"{mesh_extent:.3g}" for mesh_extent in mesh_extents)
         problem += f"; the mesh measures {extents_text} m: check that its lengths are in m"
         if len(mesh_extents) == 3:
             subject = "without the Coriolis force, which is left out, the solid"
@@ -308,12 +318,19 @@ class RitzProjection:
         rotation = structure.rotation
         basis: np.ndarray = np.zeros((structure.n_local, 0))
         for speed in np.unique(np.linspace(start, stop, N_BASIS_SPEEDS)):
-            is_own_speed = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
-            structure_at_speed = structure if is_own_speed else rotation.at(float(speed))
-            reduced_structure = reduce_structure(
+            is_speed_of_given_structure = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
+            structure_at_speed = (
+                structure
+                if is_speed_of_given_structure
+                else rotation.structure_rotating_at_speed(float(speed))
+            )
+            reduced_structure_at_speed = reduce_structure(
                 structure_at_speed, modes=modes, method="free_interface", reference=False
             )
-            new_shapes, new_omegas = reduced_structure.basis, reduced_structure.omega
+            new_shapes, new_omegas = (
+                reduced_structure_at_speed.basis,
+                reduced_structure_at_speed.omega,
+            )
             if n_bonded:
                 bonded_modes = solve_modes(structure_at_speed, n_bonded, lips="tied")
                 new_shapes = np.hstack([new_shapes, bonded_modes.shapes])
@@ -327,7 +344,7 @@ class RitzProjection:
                 structure, structure.stiffness, basis, new_shapes
             )
             basis = np.hstack([basis, new_columns])
-            del structure_at_speed, reduced_structure, new_shapes, new_columns
+            del structure_at_speed, reduced_structure_at_speed, new_shapes, new_columns
             collect_garbage(structure.comm)
 
         def project_matrix(petsc_matrix: object) -> np.ndarray:
@@ -335,12 +352,15 @@ class RitzProjection:
             projection = structure.sum_over_ranks(basis.T @ multiply_columns(petsc_matrix, basis))
             return np.asarray(0.5 * (projection + projection.T))
 
-        mass_diagonal, eigenvectors = np.linalg.eigh(project_matrix(structure.mass))
-        basis = basis @ eigenvectors
+        mass_diagonal, projected_mass_eigenvectors = np.linalg.eigh(project_matrix(structure.mass))
+        basis = basis @ projected_mass_eigenvectors
         own_speed_squared = rotation.speed**2
-        stiffness_terms = rotation.rotation_stiffness, *rotation.displaced_shape_stiffness_terms
+        petsc_stiffness_terms = (
+            rotation.rotation_stiffness,
+            *rotation.displaced_shape_stiffness_terms,
+        )
         projected_stiffness_terms = np.array(
-            [project_matrix(petsc_matrix) for petsc_matrix in stiffness_terms]
+            [project_matrix(petsc_matrix) for petsc_matrix in petsc_stiffness_terms]
         )
         rest_stiffness = np.eye(len(mass_diagonal)) - own_speed_squared * (
             projected_stiffness_terms[0]
@@ -358,7 +378,7 @@ class RitzProjection:
             rest_stiffness,
             projected_stiffness_terms,
             mass_diagonal,
-            structure.sum_over_ranks(rotation.at_rest.force @ basis),
+            structure.sum_over_ranks(rotation.structure_at_rest.force @ basis),
             structure.sum_over_ranks(rotation.force @ basis),
             make_matrix_from_local_rows(sparse.diags(mass_diagonal), MPI.COMM_SELF),
             read_only_csr_matrix(structure.apply_bt(basis.T)),
@@ -376,10 +396,17 @@ class RitzProjection:
         (2K+1, n)
             Load V^T f, with the mean load due to rotation.
         """
-        K_1_term, K_2_term, K_3_term = speed**2 * self.stiffness_terms_K_1_K_2_K_3
-        stiffness = self.rest_stiffness + K_1_term + K_2_term + speed**2 * K_3_term
+        K_1_times_squared_speed, K_2_times_squared_speed, K_3_times_squared_speed = (
+            speed**2 * self.stiffness_terms_K_1_K_2_K_3
+        )
+        stiffness = (
+            self.rest_stiffness
+            + K_1_times_squared_speed
+            + K_2_times_squared_speed
+            + speed**2 * K_3_times_squared_speed
+        )
         rotation_displacement = np.linalg.solve(
-            self.rest_stiffness + K_1_term, speed**2 * self.centrifugal_load
+            self.rest_stiffness + K_1_times_squared_speed, speed**2 * self.centrifugal_load
         )
         load_coefficients = self.force.copy()
         load_coefficients[0] += stiffness @ rotation_displacement
@@ -395,7 +422,7 @@ class RitzProjection:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RunUpBody(ReducedBody):
+class ReducedBodyAtOneSpeed(ReducedBody):
     """Constant data of a :class:`RunUpStructure`.
 
     ``speed``, ``shapes`` and ``truncated_flexibility_root`` are explained in that class. ``ritz``
@@ -410,6 +437,7 @@ class RunUpBody(ReducedBody):
     dense_stiffness: np.ndarray
 
 
+@keep_old_attribute_names(stiffening="stiffening_exponent")
 class RunUpStructure(QuasiStaticReduction):
     """A rotating structure at one speed, in coordinates that hold for a range of speeds.
 
@@ -427,35 +455,37 @@ class RunUpStructure(QuasiStaticReduction):
         stiffness, and Lambda holds the squares of the modes' frequencies.
     """
 
-    body: RunUpBody
+    body: ReducedBodyAtOneSpeed
     speed: float = body_property("speed")
     shapes: np.ndarray = body_property("shapes")
     truncated_flexibility_root: np.ndarray = body_property("truncated_flexibility_root")
 
     def __init__(self, ritz: RitzProjection, speed: float) -> None:
-        dense_stiffness, load_coefficients = ritz.stiffness_and_load(speed)
+        projected_stiffness_at_speed, load_coefficients = ritz.stiffness_and_load(speed)
         try:
-            inverse_factor = np.linalg.inv(np.linalg.cholesky(dense_stiffness))
+            inverse_cholesky_factor = np.linalg.inv(
+                np.linalg.cholesky(projected_stiffness_at_speed)
+            )
         except np.linalg.LinAlgError:
             raise InputError(
                 "speed", speed, describe_unstable_speed(ritz.structure, speed)
             ) from None
         # Rounding hardly changes the largest eigenvalues, 1 / omega^2.
         inverse_squares, eigenvectors = np.linalg.eigh(
-            (inverse_factor * ritz.mass_diagonal) @ inverse_factor.T
+            (inverse_cholesky_factor * ritz.mass_diagonal) @ inverse_cholesky_factor.T
         )
         inverse_squares = inverse_squares[: -ritz.n_modes_with_mass - 1 : -1]
-        scaled_eigenvectors = inverse_factor.T @ eigenvectors[:, ::-1]
+        scaled_eigenvectors = inverse_cholesky_factor.T @ eigenvectors[:, ::-1]
         damping = ritz.structure.damping
         omega = 1.0 / np.sqrt(inverse_squares)
-        body = RunUpBody(
+        body = ReducedBodyAtOneSpeed(
             ritz.mass, None, ritz.gap, load_coefficients, ritz.structure.clearance,
-            damping=None if damping is None else damping.for_modes(len(load_coefficients[0])),
+            damping=damping and damping.rule_for_n_modes(len(load_coefficients[0])),
             tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
             basis=ritz.basis, omega=omega, source=ritz.structure, speed=speed, ritz=ritz,
             shapes=scaled_eigenvectors[:, : ritz.n_modes_with_mass] * omega,
             truncated_flexibility_root=scaled_eigenvectors[:, ritz.n_modes_with_mass :],
-            dense_stiffness=dense_stiffness,
+            dense_stiffness=projected_stiffness_at_speed,
         )  # fmt: skip
         Structure.__init__(self, body)
 
@@ -480,9 +510,11 @@ class RunUpStructure(QuasiStaticReduction):
             The speed is not positive, or so high that the plate is unstable.
         """
         check_number("speed", speed, 0.0, excludes_bound=True)
-        return RunUpStructure(self.body.ritz, float(speed))._in_setting(self.setting)
+        return RunUpStructure(self.body.ritz, float(speed))._in_setting(
+            self.load_damping_clearance_changes
+        )
 
-    def stiffening(self, omega: float) -> float:
+    def stiffening_exponent(self, omega: float) -> float:
         """Return the relative growth of a natural frequency with the rotor speed.
 
         With an open crack, a frequency w of the mode phi at the speed W has
@@ -494,14 +526,20 @@ class RunUpStructure(QuasiStaticReduction):
         omega : float [rad/s]
             Frequency; the nearest natural frequency w is taken.
         """
-        K_1_term, K_2_term, K_3_term = self.speed**2 * self.body.ritz.stiffness_terms_K_1_K_2_K_3
+        K_1_times_squared_speed, K_2_times_squared_speed, K_3_times_squared_speed = (
+            self.speed**2 * self.body.ritz.stiffness_terms_K_1_K_2_K_3
+        )
         nearest_mode_index = int(np.abs(self.omega - omega).argmin())
-        mode_shape = self.shapes[:, nearest_mode_index]
-        log_speed_stiffness_slope = 2.0 * (K_1_term + K_2_term + 2.0 * self.speed**2 * K_3_term)
+        nearest_mode_shape = self.shapes[:, nearest_mode_index]
+        log_speed_stiffness_slope = 2.0 * (
+            K_1_times_squared_speed
+            + K_2_times_squared_speed
+            + 2.0 * self.speed**2 * K_3_times_squared_speed
+        )
         return float(
-            mode_shape
+            nearest_mode_shape
             @ log_speed_stiffness_slope
-            @ mode_shape
+            @ nearest_mode_shape
             / (2.0 * self.omega[nearest_mode_index] ** 2)
         )
 

@@ -33,29 +33,36 @@ from fenics_crack.basics.errors import (
     check_rayleigh_damping_ratios,
 )
 from fenics_crack.basics.machine import run_single_threaded
-from fenics_crack.basics.suggestions import check_calls, with_old_names
+from fenics_crack.basics.suggestions import check_calls, keep_old_attribute_names
 from fenics_crack.basics.tables import format_count
 from fenics_crack.model.body import (
-    DEFAULT_SETTING,
     FIELD_NAMES_THAT_KEEP_MATRIX_CACHE,
+    SETTING_WITHOUT_CHANGES,
     Body,
-    Setting,
+    LoadDampingClearanceSetting,
 )
-from fenics_crack.model.factor import weighted_sum
+from fenics_crack.model.factor import matrix_plus_weighted_matrix
 from fenics_crack.model.matrices import (
     AbsentMatrix,
     add_harmonics_to_load,
     add_springs,
     check_and_distribute_parts,
     expand_to_pairs,
-    floats_or_nan,
+    floats_or_single_nan,
     lump_mass,
     make_petsc_matrix,
     read_only_array,
 )
-from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs, body_property
+from fenics_crack.model.nodes import (
+    ClampReactionData,
+    DofsAndContactPairs,
+    Nodes,
+    Pairs,
+    body_property,
+)
 
 
+@keep_old_attribute_names(for_modes="rule_for_n_modes")
 @dataclass(frozen=True)
 class ModalDamping:
     """Damping C = M Phi diag(2 xi_j omega_j) Phi^T M, never formed.
@@ -79,7 +86,7 @@ class ModalDamping:
     modes: int | None = None
 
     def __post_init__(self) -> None:
-        ratio = floats_or_nan(self.ratio)
+        ratio = floats_or_single_nan(self.ratio)
         if ratio.ndim > 1 or not ratio.size or not np.all(np.isfinite(ratio)) or ratio.min() < 0.0:
             raise InputError("damping ratio", self.ratio, "one finite number >= 0, or one per mode")
         if self.modes is not None:
@@ -91,7 +98,7 @@ class ModalDamping:
         ratio: Any = (factor * np.asarray(self.ratio)).tolist()
         return replace(self, ratio=ratio)
 
-    def for_modes(self, n_modes: int) -> ModalDamping:
+    def rule_for_n_modes(self, n_modes: int) -> ModalDamping:
         """Return the damping of a reduced structure with ``n_modes`` modes.
 
         Modes beyond the damped ones get the last ratio.
@@ -113,12 +120,20 @@ class ModalDamping:
 
     def __str__(self) -> str:
         ratio_percents = 100.0 * np.asarray(self.ratio)
-        min_text, max_text = f"{ratio_percents.min():.3g}", f"{ratio_percents.max():.3g}"
-        ratio_range_text = min_text if min_text == max_text else f"{min_text} to {max_text}"
+        min_ratio_text, max_ratio_text = (
+            f"{ratio_percents.min():.3g}",
+            f"{ratio_percents.max():.3g}",
+        )
+        ratio_range_text = (
+            min_ratio_text
+            if min_ratio_text == max_ratio_text
+            else f"{min_ratio_text} to {max_ratio_text}"
+        )
         modes_text = "" if self.modes is None else f" of {self.modes} modes"
         return f"modal damping {ratio_range_text} %{modes_text}"
 
 
+@keep_old_attribute_names(for_modes="rule_for_n_modes")
 @dataclass(frozen=True)
 class RayleighDamping:
     """Damping C = a M + b K.
@@ -175,7 +190,7 @@ class RayleighDamping:
         -----
         Source: Clough and Penzien, Dynamics of Structures, 2nd edition, McGraw-Hill, New York 1993.
         """
-        ratio_array, omega_array = floats_or_nan(ratios), floats_or_nan(omegas)
+        ratio_array, omega_array = floats_or_single_nan(ratios), floats_or_single_nan(omegas)
         if (
             ratio_array.shape != (2,)
             or not np.all(np.isfinite(ratio_array))
@@ -186,7 +201,7 @@ class RayleighDamping:
         if not is_valid or omega_array.min() <= 0.0 or omega_array[0] == omega_array[1]:
             raise InputError("damping omegas", omegas, "two different finite numbers > 0")
         xi_list = [float(ratio) for ratio in ratio_array]
-        omega_list = [float(w) for w in omega_array]
+        omega_list = [float(omega) for omega in omega_array]
         check_rayleigh_damping_ratios("damping ratios", xi_list, omega_list)
         (w_1, xi_1), (w_2, xi_2) = sorted(zip(omega_list, xi_list, strict=True))
         ratio_shift = w_1 / (w_2 - w_1) * (xi_2 - xi_1)
@@ -200,7 +215,7 @@ class RayleighDamping:
         """Return this damping with both coefficients multiplied by a factor."""
         return RayleighDamping(factor * self.mass, factor * self.stiffness)
 
-    def for_modes(self, n_modes: int) -> RayleighDamping:
+    def rule_for_n_modes(self, n_modes: int) -> RayleighDamping:
         """Return the damping of a reduced structure: the same coefficients."""
         return self
 
@@ -220,7 +235,7 @@ class RayleighDamping:
         """Return the damping matrix C = a M + b K as a PETSc matrix (collective)."""
         mass_term = mass.copy()
         mass_term.scale(self.mass)
-        total = weighted_sum(mass_term, self.stiffness, stiffness)
+        total = matrix_plus_weighted_matrix(mass_term, self.stiffness, stiffness)
         mass_term.destroy()
         return total
 
@@ -232,7 +247,7 @@ DampingRule = ModalDamping | RayleighDamping
 """Damping that follows from mass and stiffness, without a damping matrix of its own."""
 
 
-UNCOPIED_FIELD_NAMES = {"rotation", "result_cache", "matrix_cache"}
+UNCOPIED_FIELD_NAMES = {"rotation", "result_cache", "cache_of_matrix_results"}
 """Attributes of a body that are not copied to a body with other matrices."""
 Result = TypeVar("Result")
 
@@ -240,7 +255,7 @@ Result = TypeVar("Result")
 def shared_property(compute: Callable[[Any], Any]) -> Any:
     """Make a property that is computed once for a structure and its varied copies.
 
-    ``compute`` is a function, called with :attr:`Structure.original`.
+    ``compute`` is a function, called with :attr:`Structure.unvaried_structure`.
     """
     return property(lambda structure: structure.compute_once(compute), doc=compute.__doc__)
 
@@ -248,14 +263,20 @@ def shared_property(compute: Callable[[Any], Any]) -> Any:
 AnyStructure = TypeVar("AnyStructure", bound="Structure")
 
 
-@with_old_names(
+@keep_old_attribute_names(
+    blade_of="blade_and_sector_dof_of",
+    damping_factor="damping_multiplier",
+    light_lips="has_massless_crack_faces",
+    original="unvaried_structure",
+    setting="load_damping_clearance_changes",
+    with_doubled_pairs="with_parallel_copy_of_pairs",
     check_dofs="as_dof_numbers",
     drawable_nodes="local_nodes_with_cells_or_none",
     watched_sector="watched_sector_index",
     watched_sector_load="watched_sector_load_rows",
     with_harmonics="with_added_load_harmonics",
 )
-class Structure(Coordinates):
+class Structure(DofsAndContactPairs):
     """A linear structure with contact pairs; read-only.
 
     Made by :func:`fenics_crack.build_structure` from a scene, by :meth:`from_matrices` or by
@@ -272,8 +293,8 @@ class Structure(Coordinates):
     clearance : (n_pairs,) [m]
         Clearance g0 of every pair. Positive: the faces are apart at rest. Negative: they are
         pressed together at rest (preload).
-    damping_factor : float
-        Factor of the damping relative to :attr:`original`; 1 unless varied.
+    damping_multiplier : float
+        Factor of the damping relative to :attr:`unvaried_structure`; 1 unless varied.
     clamp : fenics_crack.model.nodes.Clamp or None
         Clamp of a mesh. None without a mesh, and for a reduced structure: see its whole structure.
     rotation : fenics_crack.model.rotation.Rotation or None
@@ -281,9 +302,9 @@ class Structure(Coordinates):
     """
 
     body: Body
-    setting: Setting
+    load_damping_clearance_changes: LoadDampingClearanceSetting
     stiffness: Any = body_property("stiffness")
-    light_lips: ClassVar[bool] = False
+    has_massless_crack_faces: ClassVar[bool] = False
     """True if crack faces have no mass.
 
     The residual flexibility of the modes then gives the quasi-static response to forces on the
@@ -291,13 +312,13 @@ class Structure(Coordinates):
     """
 
     def __init__(self, body: Body) -> None:
-        vars(self).update(body=body, setting=DEFAULT_SETTING)
+        vars(self).update(body=body, load_damping_clearance_changes=SETTING_WITHOUT_CHANGES)
 
     def __repr__(self) -> str:
         pairs_text, body_damping = format_count(self.n_pairs, "pair"), self.body.damping
         damping_text = "no damping" if body_damping is None else "damping matrix"
         if isinstance(body_damping, DampingRule):
-            damping_text = str(body_damping.scaled(self.damping_factor))
+            damping_text = str(body_damping.scaled(self.damping_multiplier))
         return f"{type(self).__name__}({self._size_description}, {pairs_text}, {damping_text})"
 
     @cached_property
@@ -306,11 +327,13 @@ class Structure(Coordinates):
 
         Factors by which the load was varied are included.
         """
-        body_force = self.body.force
+        unvaried_load_coefficients = self.body.force
         return (
-            body_force
-            if self.setting is DEFAULT_SETTING
-            else read_only_array(np.dot(self.setting.load_weights, body_force))
+            unvaried_load_coefficients
+            if self.load_damping_clearance_changes is SETTING_WITHOUT_CHANGES
+            else read_only_array(
+                np.dot(self.load_damping_clearance_changes.load_weights, unvaried_load_coefficients)
+            )
         )
 
     @cached_property
@@ -321,16 +344,19 @@ class Structure(Coordinates):
         tangential gaps. If the added clearance is an array with one number for each normal pair,
         these further pairs get none of it.
         """
-        clearance, added_clearance = self.body.clearance.copy(), self.setting.added_clearance
+        clearance, added_clearance = (
+            self.body.clearance.copy(),
+            self.load_damping_clearance_changes.added_clearance,
+        )
         clearance[: np.size(added_clearance) if np.ndim(added_clearance) else None] += (
             added_clearance
         )
         return read_only_array(clearance)
 
     @property
-    def damping_factor(self) -> float:
-        """Factor of the damping relative to that of :attr:`original`."""
-        return self.setting.damping_factor
+    def damping_multiplier(self) -> float:
+        """Factor of the damping relative to that of :attr:`unvaried_structure`."""
+        return self.load_damping_clearance_changes.damping_multiplier
 
     @cached_property
     def damping(self) -> Any:
@@ -340,21 +366,23 @@ class Structure(Coordinates):
         many copies never need it.
         """
         body_damping = self.body.damping
-        if body_damping is None or self.damping_factor == 1.0:
+        if body_damping is None or self.damping_multiplier == 1.0:
             return body_damping
         if isinstance(body_damping, DampingRule):
-            return body_damping.scaled(self.damping_factor)
+            return body_damping.scaled(self.damping_multiplier)
         matrix = body_damping.copy()
-        matrix.scale(self.damping_factor)
+        matrix.scale(self.damping_multiplier)
         return matrix
 
     @cached_property
-    def clamp(self) -> Clamp | None:
+    def clamp(self) -> ClampReactionData | None:
         """Inertia and load of the mesh, for the reaction at the clamp.
 
         None without a mesh, and after :meth:`with_added_load_harmonics`.
         """
-        return self.body.clamp and self.body.clamp.with_weights(self.setting.load_weights)
+        return self.body.clamp and self.body.clamp.with_weights(
+            self.load_damping_clearance_changes.load_weights
+        )
 
     @cached_property
     def rotation(self) -> Any:
@@ -367,9 +395,9 @@ class Structure(Coordinates):
         )
 
     @property
-    def original(self) -> Structure:
+    def unvaried_structure(self) -> Structure:
         """Structure with the load, clearance and damping with which it was made."""
-        return self._in_setting(DEFAULT_SETTING)
+        return self._in_setting(SETTING_WITHOUT_CHANGES)
 
     @property
     def has_matrices(self) -> bool:
@@ -392,34 +420,34 @@ class Structure(Coordinates):
             True if the result depends on mass, stiffness and pairs alone. Structures that share
             these three but have another load then share the result, too.
         """
-        cache = self.body.matrix_cache if from_matrices else self.body.result_cache
+        cache = self.body.cache_of_matrix_results if from_matrices else self.body.result_cache
         if compute not in cache:
-            cache[compute] = compute(self.original)
+            cache[compute] = compute(self.unvaried_structure)
         result: Result = cache[compute]
         return result
 
-    def _in_setting(self, setting: Setting, **changes: Any) -> Self:
+    def _in_setting(self, setting: LoadDampingClearanceSetting, **changes: Any) -> Self:
         """Return a copy with other factors of load and damping, and another added clearance.
 
         Parameters
         ----------
-        setting : Setting
+        setting : LoadDampingClearanceSetting
             Factors and added clearance.
         **changes
             New values for fields of the body (:class:`Body`). Any change drops cached results.
             Results that depend on matrices and pairs alone are dropped only if a change concerns
             matrices or pairs.
         """
-        if setting is self.setting and not changes:
+        if setting is self.load_damping_clearance_changes and not changes:
             return self
         new_structure, body = object.__new__(type(self)), self.body
         if changes:
             new_caches: dict[str, Any] = {"result_cache": {}}
             if not changes.keys() <= FIELD_NAMES_THAT_KEEP_MATRIX_CACHE:
-                new_caches["matrix_cache"] = {}
+                new_caches["cache_of_matrix_results"] = {}
             body = replace(body, **new_caches | changes)
         Structure.__init__(new_structure, body)
-        vars(new_structure)["setting"] = setting
+        vars(new_structure)["load_damping_clearance_changes"] = setting
         return new_structure
 
     def _apply_setting(self, structure: AnyStructure) -> AnyStructure:
@@ -429,8 +457,12 @@ class Structure(Coordinates):
         """
         return (
             structure
-            if self.setting is DEFAULT_SETTING
-            else structure._in_setting(structure.setting.combine_with(self.setting))
+            if self.load_damping_clearance_changes is SETTING_WITHOUT_CHANGES
+            else structure._in_setting(
+                structure.load_damping_clearance_changes.combine_with(
+                    self.load_damping_clearance_changes
+                )
+            )
         )
 
     def gap_of(self, displacement: np.ndarray) -> np.ndarray:
@@ -492,7 +524,7 @@ class Structure(Coordinates):
         """
         return dof
 
-    def blade_of(self, dof: int) -> tuple[int, int]:
+    def blade_and_sector_dof_of(self, dof: int) -> tuple[int, int]:
         """Return the sector of a dof of the structure, and the dof's number in this sector.
 
         Sectors are numbered from 1.
@@ -620,7 +652,9 @@ class Structure(Coordinates):
             )
         load_coefficients = add_harmonics_to_load(self.force, harmonics, self.mass)
         return self._in_setting(
-            replace(self.setting, load_weights=1.0), force=load_coefficients, clamp=None
+            replace(self.load_damping_clearance_changes, load_weights=1.0),
+            force=load_coefficients,
+            clamp=None,
         )
 
     def with_tangents(self) -> Structure:
@@ -640,7 +674,7 @@ class Structure(Coordinates):
         if self is not self.whole:
             requirement = "a structure that is not reduced; reduce structure.whole.with_tangents()"
             raise InputError("structure", repr(self), requirement)
-        return self.compute_once(_add_tangents)._in_setting(self.setting)
+        return self.compute_once(_add_tangents)._in_setting(self.load_damping_clearance_changes)
 
     def with_tangential_pairs(self, direction: np.ndarray | None = None) -> Structure:
         """Return this structure with tangential gaps as further pairs.
@@ -674,24 +708,29 @@ class Structure(Coordinates):
         if not direction_and_structure_cache or not np.array_equal(
             direction_and_structure_cache[0][0], direction
         ):
-            original = self.original
+            original = self.unvaried_structure
             direction_and_structure_cache[:] = [
                 (direction, _add_tangential_pairs(original, direction))
             ]
-        return direction_and_structure_cache[0][1]._in_setting(self.setting)
+        return direction_and_structure_cache[0][1]._in_setting(self.load_damping_clearance_changes)
 
-    def with_doubled_pairs(self, clearance: float) -> Structure:
+    def with_parallel_copy_of_pairs(self, clearance: float) -> Structure:
         """Return this structure with every pair twice, for a law with two springs per pair.
 
         The gap matrix B becomes [B, B], (n_local, 2 n_pairs). The second copy of each pair has
         ``clearance`` [m] in addition.
         """
-        clearances = np.add.outer(
+        added_clearances_of_both_copies = np.add.outer(
             (0.0, clearance),
-            expand_to_pairs("clearance", self.setting.added_clearance, self.n_pairs),
+            expand_to_pairs(
+                "clearance", self.load_damping_clearance_changes.added_clearance, self.n_pairs
+            ),
         )
-        return self.compute_once(_double_pairs)._in_setting(
-            replace(self.setting, added_clearance=clearances.ravel())
+        return self.compute_once(_add_parallel_copy_of_pairs)._in_setting(
+            replace(
+                self.load_damping_clearance_changes,
+                added_clearance=added_clearances_of_both_copies.ravel(),
+            )
         )
 
     def with_places(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
@@ -701,15 +740,19 @@ class Structure(Coordinates):
     def damped(self, damping: DampingRule | None) -> Self:
         """Return this structure with another modal or Rayleigh damping, or none (None).
 
-        A factor by which the old damping was multiplied (``damping_factor``) does not apply to the
-        new damping. In a reduced structure, the damping holds for the modes of the reduction.
+        A factor by which the old damping was multiplied (``damping_multiplier``) does not apply to
+        the new damping. In a reduced structure, the damping holds for the modes of the reduction.
         """
         if not isinstance(damping, DampingRule | None):
             raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
-        new_damping = damping.for_modes(self.n_modes) if damping and self.light_lips else damping
-        setting, rotation = self.setting, self.body.rotation
-        if self.damping_factor != 1.0:
-            setting = replace(setting, damping_factor=1.0)
+        new_damping = (
+            damping.rule_for_n_modes(self.n_modes)
+            if damping and self.has_massless_crack_faces
+            else damping
+        )
+        setting, rotation = self.load_damping_clearance_changes, self.body.rotation
+        if self.damping_multiplier != 1.0:
+            setting = replace(setting, damping_multiplier=1.0)
         if rotation is not None:
             rotation = rotation.with_changed_rest_structure(
                 lambda structure: structure.damped(damping)
@@ -722,7 +765,9 @@ class Structure(Coordinates):
         ``dof`` is a number in the whole structure; InputError if there is no such dof.
         """
         checked_dof = int(self.whole.as_dof_numbers([dof])[0])
-        return self._in_setting(replace(self.setting, watched_dof=checked_dof))
+        return self._in_setting(
+            replace(self.load_damping_clearance_changes, watched_dof=checked_dof)
+        )
 
     def varied(
         self,
@@ -751,7 +796,7 @@ class Structure(Coordinates):
         InputError
             A value cannot be used.
         """
-        load_weights, n_load_rows = floats_or_nan(load), len(self.force)
+        load_weights, n_load_rows = floats_or_single_nan(load), len(self.force)
         if load_weights.shape not in ((), (n_load_rows, n_load_rows)) or not np.all(
             np.isfinite(load_weights)
         ):
@@ -767,7 +812,9 @@ class Structure(Coordinates):
         check_number("damping", damping, 0.0)
         added_clearance = expand_to_pairs("clearance", clearance, self.n_pairs)
         return self._in_setting(
-            self.setting.combine_with(Setting(load_weights, damping, added_clearance))
+            self.load_damping_clearance_changes.combine_with(
+                LoadDampingClearanceSetting(load_weights, damping, added_clearance)
+            )
         )
 
     def _plain_structure_with_changes(self, **changes: Any) -> Structure:
@@ -872,7 +919,7 @@ def _add_tangents(structure: Structure) -> Structure:
     return _change_with_rotation(
         structure,
         lambda source: source._in_setting(
-            source.setting, tangential=source.pairs.tangential_gap_matrix
+            source.load_damping_clearance_changes, tangential=source.pairs.tangential_gap_matrix
         ),
     )
 
@@ -894,22 +941,25 @@ def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) ->
     """
     tangential_gap_matrix: Any = structure.tangential
     if direction is not None:
-        direction_matrices = (
+        direction_cosine_matrices = (
             sparse.diags(direction_cosines)
             for direction_cosines in (np.cos(direction), np.sin(direction))
         )
-        tangential_gap_matrix = tangential_gap_matrix @ sparse.vstack([*direction_matrices])
+        tangential_gap_matrix = tangential_gap_matrix @ sparse.vstack([*direction_cosine_matrices])
     joint_gap_matrix = sparse.hstack([structure.gap, tangential_gap_matrix])
-    clearance = np.concatenate([structure.clearance, np.zeros(structure.n_pairs)])
+    clearances_of_all_pairs = np.concatenate([structure.clearance, np.zeros(structure.n_pairs)])
     return structure._in_setting(
-        structure.setting, gap=joint_gap_matrix, tangential=None, clearance=clearance
+        structure.load_damping_clearance_changes,
+        gap=joint_gap_matrix,
+        tangential=None,
+        clearance=clearances_of_all_pairs,
     )
 
 
-def _double_pairs(structure: Structure) -> Structure:
+def _add_parallel_copy_of_pairs(structure: Structure) -> Structure:
     """Return a structure with every pair twice, with the same clearances."""
     return structure._in_setting(
-        structure.setting,
+        structure.load_damping_clearance_changes,
         gap=sparse.hstack([structure.gap, structure.gap]),
         tangential=None,
         clearance=np.tile(structure.clearance, 2),
@@ -921,4 +971,4 @@ def _change_with_rotation(
 ) -> Structure:
     """Apply ``change`` to a structure, and with rotation also to its structure at rest."""
     rotation = structure.rotation and structure.rotation.with_changed_rest_structure(change)
-    return change(structure)._in_setting(DEFAULT_SETTING, rotation=rotation)
+    return change(structure)._in_setting(SETTING_WITHOUT_CHANGES, rotation=rotation)

@@ -31,7 +31,7 @@ from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.runs.load import load_run
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.solve import solve
-from fenics_crack.scene.keys import RESULT_TABLE_NAMES
+from fenics_crack.scene.keys import RESULT_SETTINGS_TABLE_NAMES
 from fenics_crack.scene.result_tables import TipTiming
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Rotation
@@ -39,7 +39,7 @@ from fenics_crack.scene.words import describe_differences
 from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.plausibility import FAST_TIP_REMARK_TEMPLATE, MAX_PLAUSIBLE_TIP_SPEED
 
-TABLES_ALLOWED_TO_DIFFER_FROM_RESULT = (*RESULT_TABLE_NAMES, "reduction")
+TABLES_ALLOWED_TO_DIFFER_FROM_RESULT = (*RESULT_SETTINGS_TABLE_NAMES, "reduction")
 """Tables of a scene that may differ from the scene of a result.
 
 ``[reduction]`` is one of them, because a run chooses its missing keys. The other tables choose
@@ -50,7 +50,7 @@ MIN_PLAUSIBLE_TIP_SPEED = 1.0
 
 A lower speed indicates a wrong unit: times in ms that are read as s turn 200 m/s into 0.2 m/s.
 """
-SLOW_TIP_REMARK_FORMAT = (
+IMPLAUSIBLY_SLOW_TIP_REMARK_FORMAT = (
     "the blade tip moves at {:.3g} m/s, but tips of rotors with probes move at 1 to 700 m/s"
 )
 """Beginning of a remark on blade tips below :data:`MIN_PLAUSIBLE_TIP_SPEED`."""
@@ -172,13 +172,13 @@ def _compute_arrivals(
     """
     result: Any = run.result
     if (curve := get_response_curve_or_none(run)) is not None:
-        passed_indices, unstable_index = find_run_up_point_indices(curve)
+        passed_curve_point_indices, unstable_index = find_run_up_point_indices(curve)
         # Take the part before the curve becomes unstable. If this part has fewer than two points,
         # take the whole curve; tip_timing then raises the error.
         result = (
             curve
-            if unstable_index is None or len(passed_indices) < 2
-            else curve.part(passed_indices)
+            if unstable_index is None or len(passed_curve_point_indices) < 2
+            else curve.part(passed_curve_point_indices)
         )
     return tip_timing(
         result,
@@ -200,12 +200,12 @@ def describe_run_up_end_or_empty(scene: Scene, run: Run[Any]) -> str:
     """
     if (curve := get_response_curve_or_none(run)) is None:
         return ""
-    passed_indices, unstable_index = find_run_up_point_indices(curve)
+    passed_curve_point_indices, unstable_index = find_run_up_point_indices(curve)
     if unstable_index is None:
         return ""
-    last_and_unstable_speeds = curve.omega[[passed_indices[-1], unstable_index]] / get_engine_order(
-        scene.given("tip_timing"), run.scene
-    )
+    last_and_unstable_speeds = curve.omega[
+        [passed_curve_point_indices[-1], unstable_index]
+    ] / get_engine_order(scene.given("tip_timing"), run.scene)
     last_speed_text, unstable_speed_text = (
         format_speed(rotor_speed, scene.is_speed_in_rpm) for rotor_speed in last_and_unstable_speeds
     )
@@ -234,7 +234,7 @@ def describe_scene_difference_or_empty(scene: Scene, run: Run[Any]) -> str:
     )
 
 
-def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
+def list_arrival_unit_remarks(arrivals: ArrivalTimes) -> list[str]:
     """Return remarks on measured arrivals that seem to have wrong units.
 
     A remark follows if the tip speed is outside 1 to 1000 m/s. Another follows if there are several
@@ -246,7 +246,7 @@ def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
         speed_remark_format = (
             FAST_TIP_REMARK_TEMPLATE
             if tip_speed > MIN_PLAUSIBLE_TIP_SPEED
-            else SLOW_TIP_REMARK_FORMAT
+            else IMPLAUSIBLY_SLOW_TIP_REMARK_FORMAT
         )
         question_text = "are the speed or times, and tip_radius, in the units of their headings?"
         remark_texts.append(f"{speed_remark_format.format(tip_speed)}: {question_text}")
@@ -348,9 +348,9 @@ def fit_vibration_or_passages(
             2.0 * np.pi * frequency for frequency in timing_table.frequencies
         )
         return fit_frequency(arrivals, lower_omega, upper_omega, **fit_argument_by_name)
-    fitted_orders = timing_table.orders or ([load_order] if load_order else DEFAULT_TRIAL_ORDERS)
+    trial_orders = timing_table.orders or ([load_order] if load_order else DEFAULT_TRIAL_ORDERS)
     return fit_order(
-        arrivals, fitted_orders, **fit_argument_by_name, subharmonic=timing_table.subharmonic
+        arrivals, trial_orders, **fit_argument_by_name, subharmonic=timing_table.subharmonic
     )
 
 
@@ -393,7 +393,7 @@ def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> st
     doubt_texts = [
         "another vibration is near this resonance, and frequency and damping may be wrong"
     ] * passage_fit.in_doubt
-    doubt_texts += [f"its {passage_fit.disagreement_in_words}"] * passage_fit.disagree
+    doubt_texts += [f"its {passage_fit.disagreement_in_words}"] * passage_fit.passages_disagree
     remark_text = "; ".join([reason_text] * bool(reason_text) + doubt_texts)
     mode_text = f"mode {mode}" if mode else "not used"
     return f"{mode_text}: {passage_fit.in_words}" + f" ({remark_text})" * bool(remark_text)
@@ -421,7 +421,7 @@ def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tup
 
     mode_distances = compute_relative_mode_distances(passage_fit.omega)
     mode_indices_nearest_first = np.argsort(mode_distances)
-    range_texts = [
+    mode_frequency_range_texts = [
         f"mode {mode_index + 1} has {omega_open[mode_index] / RAD_PER_TURN:.6g} to "
         f"{omega_tied[mode_index] / RAD_PER_TURN:.6g} Hz at this speed"
         for mode_index in mode_indices_nearest_first[:2]
@@ -431,24 +431,24 @@ def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tup
             0,
             "no mode of the blade is within "
             f"{MAX_RELATIVE_DISTANCE_OF_RESONANCE_TO_MODE:.0%} of this "
-            f"frequency; {range_texts[0]}",
+            f"frequency; {mode_frequency_range_texts[0]}",
         )
     if (
         len(mode_distances) > 1
         and mode_distances[mode_indices_nearest_first[1]]
         < 0.5 * MAX_RELATIVE_DISTANCE_OF_RESONANCE_TO_MODE
     ):
-        return 0, f"two modes are near this frequency: {'; '.join(range_texts)}"
+        return 0, f"two modes are near this frequency: {'; '.join(mode_frequency_range_texts)}"
     other_order_texts = [
         f"{ambiguous_order:g}"
-        for ambiguous_order in passage_fit.ambiguous
+        for ambiguous_order in passage_fit.ambiguous_orders
         if min(compute_relative_mode_distances(ambiguous_order * passage_fit.speed))
         <= MAX_RELATIVE_DISTANCE_OF_RESONANCE_TO_MODE
     ]
     if other_order_texts:
         reason_text = (
             "two probes cannot exclude it"
-            if passage_fit.untested
+            if passage_fit.is_order_untested
             else "explains the arrivals equally well"
         )
         return 0, (
@@ -506,30 +506,35 @@ def find_tip_factor_by_dof(
         The blade tip of a solid lies on the rotor axis.
     """
     structure = run.structure.whole
-    tip_rotation = _get_solid_tip_rotation_or_none(timing_table, run.scene)
+    rotation_table_if_solid = _get_rotation_table_of_solid_or_none(timing_table, run.scene)
     tangential_factor = timing_table.tangential
     sector_structure, is_disk = structure.sector_structure, structure.n_sectors > 1
-    _, tip_dof = structure.blade_of(run.watched_dof)
+    _, tip_dof = structure.blade_and_sector_dof_of(run.watched_dof)
     factor_by_dof = {tip_dof: 1.0 if tangential_factor is None else tangential_factor}
-    if tangential_factor is None and (is_disk or tip_rotation):
-        dofs, node_points = (
-            gather_rows(sector_structure.comm, rows_of_rank)
-            for rows_of_rank in (sector_structure.nodes.dofs, sector_structure.nodes.points)
+    if tangential_factor is None and (is_disk or rotation_table_if_solid):
+        dofs_by_node, points_of_all_nodes = (
+            gather_rows(sector_structure.comm, node_rows_of_rank)
+            for node_rows_of_rank in (sector_structure.nodes.dofs, sector_structure.nodes.points)
         )
-        node_index = int(np.argwhere(dofs == tip_dof)[0, 0])
+        node_index = int(np.argwhere(dofs_by_node == tip_dof)[0, 0])
         if (
-            is_disk or tip_rotation is None
+            is_disk or rotation_table_if_solid is None
         ):  # (Q - Q^T) x is the cross product of axis and x, times 2 sin(2 pi / N)
-            sector_turn_matrix, rotation_center = structure.sector.rotation, structure.sector.center
+            sector_turn_matrix = structure.sector.one_sector_rotation
+            rotation_center = structure.sector.center
             tip_direction = (sector_turn_matrix - sector_turn_matrix.T) @ (
-                node_points[node_index] - rotation_center
+                points_of_all_nodes[node_index] - rotation_center
             )
             tip_direction /= np.linalg.norm(tip_direction)
         else:
-            tip_direction = _find_circumferential_direction(run.scene, node_points[node_index])
+            tip_direction = _find_circumferential_direction(
+                run.scene, points_of_all_nodes[node_index]
+            )
         factor_by_dof = {
             dof: factor
-            for dof, factor in zip(dofs[node_index].tolist(), tip_direction.tolist(), strict=True)
+            for dof, factor in zip(
+                dofs_by_node[node_index].tolist(), tip_direction.tolist(), strict=True
+            )
             if dof >= 0 and factor != 0.0
         }
     return {
@@ -568,9 +573,9 @@ def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
         or z (within 2.6 degrees).
     """
     timing_table = scene.given("tip_timing")
-    tip_rotation = _get_solid_tip_rotation_or_none(timing_table, scene)
-    if tip_rotation is None:
-        return [*scene.label_by_point_name, ""][0], (timing_table.tangential or 1.0) < 0.0
+    rotation_table_if_solid = _get_rotation_table_of_solid_or_none(timing_table, scene)
+    if rotation_table_if_solid is None:
+        return [*scene.label_by_displacement_name, ""][0], (timing_table.tangential or 1.0) < 0.0
     if not scene.output_points:
         requirement_text = "given with arrivals of a solid blade; the first point is the blade tip"
         raise InputError("output.points", None, requirement_text)
@@ -578,16 +583,19 @@ def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
     direction = _find_circumferential_direction(scene, np.array(tip_point.values))
     axis_index = int(np.abs(direction).argmax())
     if abs(direction[axis_index]) < 0.999:  # 2.6 degrees, an error of a thousandth
-        components_text = ", ".join(f"{component:.3g}" for component in direction)
+        direction_components_text = ", ".join(
+            f"{direction_component:.3g}" for direction_component in direction
+        )
         requirement_text = (
-            f"given, since the tip moves along ({components_text}), not along x, y or z: its "
+            f"given, since the tip moves along ({direction_components_text}), not along x, y or "
+            "z: its "
             "displacement in this direction over the first displacement of [output.points]"
         )
         raise InputError("tip_timing.tangential", None, requirement_text)
     return f"{tip_point.key}.u{'xyz'[axis_index]}", bool(direction[axis_index] < 0.0)
 
 
-def _get_solid_tip_rotation_or_none(timing_table: TipTiming, scene: Scene) -> Rotation | None:
+def _get_rotation_table_of_solid_or_none(timing_table: TipTiming, scene: Scene) -> Rotation | None:
     """Return the table ``[rotation]`` if it gives the direction of a solid's tip displacement.
 
     Return None for plates, without rotation, or if ``tip_timing.tangential`` is given. The tip
@@ -610,7 +618,7 @@ def _find_circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarr
     direction = np.cross(axis, point - axis_point)
     distance_from_axis = float(np.linalg.norm(direction))
     if distance_from_axis <= RELATIVE_POSITION_TOLERANCE * float(np.abs([point, axis_point]).max()):
-        point_coordinates = [float(coordinate) for coordinate in point]
+        point_coordinates = [float(point_coordinate) for point_coordinate in point]
         raise InputError(
             "output.points",
             point_coordinates,
@@ -636,14 +644,18 @@ def _choose_speed_or_order_argument(
         whole curve.
     """
     owner_text = "" if source_path is None else f" of {str(source_path)!r}"
-    curve_or_none = get_response_curve_or_none(run)
-    if curve_or_none is not None and run.scene.speed > 0.0 and curve_or_none.parameter != "speed":
+    response_curve_or_none = get_response_curve_or_none(run)
+    if (
+        response_curve_or_none is not None
+        and run.scene.speed > 0.0
+        and response_curve_or_none.parameter != "speed"
+    ):
         speed_text = format_speed(run.scene.speed, run.scene.is_speed_in_rpm)
         requirement_text = (
             f"'rpm' or 'speed' for a run-up: along this curve the rotor stays at {speed_text}"
         )
         raise InputError("curve.parameter", run.scene.given("curve").parameter, requirement_text)
-    is_steady = run.scene.excitation.order is None and curve_or_none is None
+    is_steady = run.scene.excitation.order is None and response_curve_or_none is None
     if is_steady and run.scene.speed > 0.0:
         timing_table.forbid_keys(("order",), f"the rotor speed of [rotation]{owner_text}")
         return {"speed": run.scene.speed}

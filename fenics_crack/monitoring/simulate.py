@@ -30,7 +30,7 @@ from fenics_crack.arrivals.arrival_times import (
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.model.matrices import floats_or_nan
+from fenics_crack.model.matrices import floats_or_single_nan
 from fenics_crack.numerics.fourier import from_complex, sample_period, to_complex
 
 MAX_RELATIVE_JUMP_DISTANCE_BEFORE_FOLD = 1e-3
@@ -110,7 +110,7 @@ def tip_timing(
     >>> arrivals = fc.tip_timing(
     ...     solution, tip, probes=[0.1, 0.5, 1.3, 3.1], tip_radius=0.4, order=6)
     """
-    probe_angles = np.atleast_1d(floats_or_nan(probes))
+    probe_angles = np.atleast_1d(floats_or_single_nan(probes))
     check_probe_angles(probe_angles)
     factor_by_dof = (
         tip if isinstance(tip, Mapping) else {tip: 1.0} if isinstance(tip, Integral) else {}
@@ -135,7 +135,9 @@ def tip_timing(
 
     tip_motion = _build_motion(result, factor_by_dof, speed, order, revolutions)
     arrival_times = _compute_arrival_times(tip_motion, probe_angles, tip_radius)
-    revolution_times = tip_motion.compute_times(2.0 * np.pi * np.arange(revolutions + 1))
+    revolution_times = tip_motion.compute_times_of_rotor_angles(
+        2.0 * np.pi * np.arange(revolutions + 1)
+    )
     shortest_revolution_duration = float(np.diff(revolution_times).min())
     for argument_name, argument_value in (("noise", noise), ("clock", clock)):
         if argument_value >= shortest_revolution_duration:
@@ -195,7 +197,7 @@ def _compute_arrival_times(
             "the load"
         )
         raise InputError("tip_radius", tip_radius, requirement_text)
-    return tip_motion.compute_times(rotor_angles).reshape(target_angles.shape)
+    return tip_motion.compute_times_of_rotor_angles(rotor_angles).reshape(target_angles.shape)
 
 
 def _build_motion(
@@ -284,27 +286,30 @@ def _build_run_up_motion(
         raise InputError(
             "result", f"a curve over {curve.parameter}", "a curve over the load frequency"
         )
-    passed_indices, unstable_index = find_run_up_point_indices(curve)
+    passed_curve_point_indices, unstable_index = find_run_up_point_indices(curve)
     if unstable_index is not None:
-        unstable_omega = float(curve.omega[unstable_index])
+        omega_of_unstable_point = float(curve.omega[unstable_index])
         requirement_text = (
-            f"stable along the run-up, but it is unstable at {unstable_omega:.6g} rad/s: give "
+            f"stable along the run-up, but it is unstable at {omega_of_unstable_point:.6g} "
+            "rad/s: give "
             "its points before, curve.part(...), or the stable branch"
         )
         raise InputError("result", repr(curve), requirement_text)
     tip_fourier_coefficients = sum(
         float(factor) * curve.coefficients_at(dof) for dof, factor in factor_by_dof.items()
     )
-    tip_harmonics = to_complex(np.asarray(tip_fourier_coefficients)[passed_indices].T).T
-    rising_order = slice(None, None, -1 if last_omega < first_omega else 1)
+    tip_harmonics = to_complex(np.asarray(tip_fourier_coefficients)[passed_curve_point_indices].T).T
+    slice_to_rising_speeds = slice(None, None, -1 if last_omega < first_omega else 1)
     return _TipMotion(
         first_and_last_rotor_speed=(
             first_omega / order,
-            float(curve.omega[passed_indices][-1]) / order,
+            float(curve.omega[passed_curve_point_indices][-1]) / order,
         ),
         n_revolutions=n_revolutions,
-        speeds_with_known_vibration=(curve.omega[passed_indices] / order)[rising_order],
-        tip_harmonics=tip_harmonics[rising_order],
+        speeds_with_known_vibration=(curve.omega[passed_curve_point_indices] / order)[
+            slice_to_rising_speeds
+        ],
+        tip_harmonics=tip_harmonics[slice_to_rising_speeds],
         periods_per_revolution=order / curve.subharmonic,
     )
 
@@ -329,14 +334,17 @@ def find_run_up_point_indices(curve: ResponseCurve) -> tuple[np.ndarray, int | N
     if curve.multipliers is None:
         return np.flatnonzero(is_passed), None
     is_passed &= ~_mark_jumped_points(signed_omega, is_passed, curve.verdicts != "stable")
-    passed_indices = np.flatnonzero(is_passed)
-    unstable_indices = passed_indices[
-        np.isin(curve.verdicts[passed_indices], ("unstable", "irregular"))
+    passed_curve_point_indices = np.flatnonzero(is_passed)
+    unstable_indices = passed_curve_point_indices[
+        np.isin(curve.verdicts[passed_curve_point_indices], ("unstable", "irregular"))
     ]
     return (
-        (passed_indices[passed_indices < unstable_indices[0]], int(unstable_indices[0]))
+        (
+            passed_curve_point_indices[passed_curve_point_indices < unstable_indices[0]],
+            int(unstable_indices[0]),
+        )
         if len(unstable_indices)
-        else (passed_indices, None)
+        else (passed_curve_point_indices, None)
     )
 
 
@@ -420,7 +428,7 @@ class _TipMotion:
             )
         )
 
-    def compute_times(self, rotor_angles: np.ndarray) -> np.ndarray:
+    def compute_times_of_rotor_angles(self, rotor_angles: np.ndarray) -> np.ndarray:
         """Return the times [s] at which the rotor has given angles [rad].
 
         The time at the angle alpha is 2 alpha / (W_0 + W(alpha)), with the rotor speeds W_0 at time
@@ -440,19 +448,19 @@ class _TipMotion:
         samples.
         """
         harmonic_orders = np.arange(self.tip_harmonics.shape[1])[:, None]
-        harmonics_of_slope = (
+        harmonics_of_slope_by_angle = (
             1j * self.periods_per_revolution * harmonic_orders * self.tip_harmonics.T
         )
-        n_samples = max(1024, 64 * len(harmonics_of_slope))
+        n_samples = max(1024, 64 * len(harmonics_of_slope_by_angle))
         change_between_samples_bounds = (
             (2.0 * np.pi / n_samples) ** 2
             / 8.0
-            * (harmonic_orders**2 * np.abs(harmonics_of_slope)).sum(axis=0)
+            * (harmonic_orders**2 * np.abs(harmonics_of_slope_by_angle)).sum(axis=0)
         )
         return float(
             (
                 change_between_samples_bounds
-                - sample_period(from_complex(harmonics_of_slope), n_samples).min(axis=0)
+                - sample_period(from_complex(harmonics_of_slope_by_angle), n_samples).min(axis=0)
             ).max()
         )
 
@@ -464,9 +472,9 @@ class _TipMotion:
         The slope includes the change of the harmonics with the speed.
         """
         phase_factors = np.exp(1j * self.periods_per_revolution * rotor_angles)
-        speeds_with_known_vibration = self.compute_rotor_speeds(rotor_angles)
+        speeds_at_rotor_angles = self.compute_rotor_speeds(rotor_angles)
         lower_speed_indices = np.clip(
-            np.searchsorted(self.speeds_with_known_vibration, speeds_with_known_vibration) - 1,
+            np.searchsorted(self.speeds_with_known_vibration, speeds_at_rotor_angles) - 1,
             0,
             len(self.speeds_with_known_vibration) - 2,
         )
@@ -474,38 +482,39 @@ class _TipMotion:
             self.speeds_with_known_vibration[lower_speed_indices + 1]
             - self.speeds_with_known_vibration[lower_speed_indices]
         )
-        interval_fractions = np.clip(
-            (speeds_with_known_vibration - self.speeds_with_known_vibration[lower_speed_indices])
+        speed_interval_fractions = np.clip(
+            (speeds_at_rotor_angles - self.speeds_with_known_vibration[lower_speed_indices])
             / speed_interval_widths,
             0.0,
             1.0,
         )
-        harmonic_increments = (
+        harmonic_changes_between_speeds = (
             self.tip_harmonics[lower_speed_indices + 1] - self.tip_harmonics[lower_speed_indices]
         ).T
         interpolated_harmonics = (
-            self.tip_harmonics[lower_speed_indices].T + interval_fractions * harmonic_increments
+            self.tip_harmonics[lower_speed_indices].T
+            + speed_interval_fractions * harmonic_changes_between_speeds
         )
-        harmonics_of_slope = (
+        harmonics_of_slope_by_angle = (
             1j
             * self.periods_per_revolution
             * np.arange(len(interpolated_harmonics))[:, None]
             * interpolated_harmonics
         )
-        is_interpolated = (speeds_with_known_vibration > self.speeds_with_known_vibration[0]) & (
-            speeds_with_known_vibration < self.speeds_with_known_vibration[-1]
+        is_between_known_speeds = (speeds_at_rotor_angles > self.speeds_with_known_vibration[0]) & (
+            speeds_at_rotor_angles < self.speeds_with_known_vibration[-1]
         )
-        harmonics_of_slope += (
+        harmonics_of_slope_by_angle += (
             np.where(
-                is_interpolated,
-                self.angular_acceleration / (speeds_with_known_vibration * speed_interval_widths),
+                is_between_known_speeds,
+                self.angular_acceleration / (speeds_at_rotor_angles * speed_interval_widths),
                 0.0,
             )
-            * harmonic_increments
+            * harmonic_changes_between_speeds
         )
         return (
             polyval(phase_factors, interpolated_harmonics, tensor=False).real,
-            polyval(phase_factors, harmonics_of_slope, tensor=False).real,
+            polyval(phase_factors, harmonics_of_slope_by_angle, tensor=False).real,
         )
 
 
@@ -549,14 +558,14 @@ def _solve_passing_angles_or_nan(
         lower_angle_bounds = np.where(angle_excesses <= 0.0, rotor_angles, lower_angle_bounds)
         with np.errstate(divide="ignore", invalid="ignore"):
             angle_steps = -angle_excesses / angle_slopes
-        bisection_steps = 0.5 * (lower_angle_bounds + upper_angle_bounds) - rotor_angles
+        bisection_angle_steps = 0.5 * (lower_angle_bounds + upper_angle_bounds) - rotor_angles
         is_inside_bounds = (rotor_angles + angle_steps >= lower_angle_bounds) & (
             rotor_angles + angle_steps <= upper_angle_bounds
         )
         angle_steps = np.where(
             is_inside_bounds & (np.abs(angle_steps) <= 0.5 * previous_step_sizes),
             angle_steps,
-            bisection_steps,
+            bisection_angle_steps,
         )
         rotor_angles, previous_step_sizes = rotor_angles + angle_steps, np.abs(angle_steps)
         if np.all(

@@ -11,8 +11,9 @@ import numpy as np
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.harmonics import TipFit, format_first_orders
 from fenics_crack.arrivals.resonance import PassageFit
-from fenics_crack.arrivals.robust import CONFIDENCE_LEVELS
+from fenics_crack.arrivals.robust import SIGNIFICANCE_LIMITS
 from fenics_crack.arrivals.track_order import TipTrack
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     RAD_PER_TURN,
@@ -23,7 +24,7 @@ from fenics_crack.basics.tables import (
     format_count,
     format_quantity,
 )
-from fenics_crack.files.store import SavedResult
+from fenics_crack.files.store import SavableResult
 from fenics_crack.scene.scene import Scene
 
 EMPTY_RESONANCE_COLUMN_BY_NAME: dict[str, list[Any]] = {
@@ -44,7 +45,7 @@ ALIASED_HARMONICS_DOUBT = (
     "harmonics that are not fitted may be aliased onto the fitted ones: raise "
     "tip_timing.fitted_harmonics, or use more probes"
 )
-UNCLEAR_HARMONIC_DOUBT_FORMAT = (
+INSIGNIFICANT_AMPLITUDE_NOTE_FORMAT = (
     "its amplitude exceeds its error at no speed, and is at most {}; more fitted revolutions give "
     "a smaller error (tip_timing.fitted_revolutions)"
 )
@@ -67,8 +68,9 @@ CONSTANT_FREQUENCY_ASSUMPTION_REMARK = (
 )
 
 
+@keep_old_attribute_names(of_resonances="has_resonance_fits")
 @dataclass(frozen=True, repr=False)
-class Timing(SavedResult):
+class Timing(SavableResult):
     """Result of ``fenics-crack timing``: vibrations fitted to arrival times of blade tips.
 
     Attributes
@@ -92,7 +94,7 @@ class Timing(SavedResult):
     KIND: ClassVar[str] = "tip timing"
 
     @property
-    def of_resonances(self) -> bool:
+    def has_resonance_fits(self) -> bool:
         """Return True if the fits are resonances in a run-up."""
         return any(isinstance(fit, tuple) for fit in self.fits.values())
 
@@ -103,7 +105,7 @@ class Timing(SavedResult):
         empty. For a single blade with any different fit, the rows are the fit's own: harmonics or
         speeds. For several blades at constant speed, each row is a blade.
         """
-        if self.of_resonances:
+        if self.has_resonance_fits:
             table_rows = [
                 {"blade": blade} | passage_fit.to_dict()
                 for blade, fit in self.fits.items()
@@ -111,7 +113,7 @@ class Timing(SavedResult):
                 for passage_fit in fit
             ]
         elif len(self.fits) == 1:
-            return self._first_fit.to_dict()
+            return self._fit_of_first_blade.to_dict()
         else:
             fit_by_blade = {
                 blade: fit for blade, fit in self.fits.items() if isinstance(fit, TipFit)
@@ -128,14 +130,14 @@ class Timing(SavedResult):
         }
 
     @property
-    def _first_fit(self) -> Any:
+    def _fit_of_first_blade(self) -> Any:
         """Return the fit of the blade with the first key."""
         return next(iter(self.fits.values()))
 
     def _unit_by_name(self) -> Mapping[str, str]:
-        is_single_fit = len(self.fits) == 1 and not self.of_resonances
+        is_single_fit = len(self.fits) == 1 and not self.has_resonance_fits
         unit_by_column: Mapping[str, str] = (
-            self._first_fit._unit_by_name() if is_single_fit else UNIT_BY_DICT_ENTRY_NAME
+            self._fit_of_first_blade._unit_by_name() if is_single_fit else UNIT_BY_DICT_ENTRY_NAME
         )
         return unit_by_column
 
@@ -156,10 +158,10 @@ def _make_fit_row_by_column(fit: TipFit, has_harmonic_ratio: bool) -> dict[str, 
     ``has_harmonic_ratio``, the row also has the ratio of the second harmonic to the first, with its
     standard error.
     """
-    amplitudes, amplitude_errors = fit.amplitudes, fit.amplitude_errors
+    amplitudes, harmonic_amplitude_errors = fit.amplitudes, fit.amplitude_errors
     value_by_column = {
         "amplitude": float(amplitudes[0]),
-        "amplitude_error": float(amplitude_errors[0]),
+        "amplitude_error": float(harmonic_amplitude_errors[0]),
         "order": fit.order,
     }
     ratio_column_names = "ratio_2_1", "ratio_2_1_error"
@@ -175,15 +177,19 @@ def report_of_timing(timing: Timing) -> Report:
     """Return the report of ``fenics-crack timing``: each blade's vibration, and doubts."""
     from fenics_crack.study.plausibility import remarks_on_scene  # with DOLFINx
 
-    passages_by_blade = {blade: fit for blade, fit in timing.fits.items() if isinstance(fit, tuple)}
-    tracks = [fit for fit in timing.fits.values() if isinstance(fit, TipTrack)]
+    passages_by_blade = {
+        blade_number: fit for blade_number, fit in timing.fits.items() if isinstance(fit, tuple)
+    }
+    engine_order_tracks = [fit for fit in timing.fits.values() if isinstance(fit, TipTrack)]
     shown_table = timing.table()
     if passages_by_blade:
-        conclusion, note_texts, warning_texts = _conclude_from_passages(passages_by_blade)
-    elif tracks:
-        conclusion, shown_table, note_texts, warning_texts = _conclude_from_track(tracks[0])
+        conclusion, note_texts, warning_texts = _conclude_on_run_up_resonances(passages_by_blade)
+    elif engine_order_tracks:
+        conclusion, shown_table, note_texts, warning_texts = _conclude_on_tracked_engine_order(
+            engine_order_tracks[0]
+        )
     else:
-        conclusion, note_texts, warning_texts = _conclude_from_fits(timing)
+        conclusion, note_texts, warning_texts = _conclude_on_steady_vibrations(timing)
     return Report(
         timing.table(),
         conclusion,
@@ -208,7 +214,7 @@ def find_blade_of_largest_amplitude_or_none(timing: Timing) -> int | None:
     )
 
 
-def _conclude_from_passages(
+def _conclude_on_run_up_resonances(
     passages_by_blade: Mapping[int, tuple[PassageFit, ...]],
 ) -> tuple[Conclusion, list[str], list[str]]:
     """Conclude from the resonances of all blades in a run-up.
@@ -225,31 +231,34 @@ def _conclude_from_passages(
         Warnings: excluded probes, ambiguous orders, correlated residuals.
     """
     blades_and_resonances = [
-        (blade, fit) for blade, fits in passages_by_blade.items() for fit in fits
+        (blade, fit) for blade, fits_of_blade in passages_by_blade.items() for fit in fits_of_blade
     ]
     warning_texts = [
         "no resonance exceeds the scatter of the arrivals: check the orders (tip_timing.orders), "
         "and that the run-up passes a resonance"
     ] * (not blades_and_resonances)
     blades_and_clearest_fits = [
-        (blade, fits[0]) for blade, fits in passages_by_blade.items() if fits
+        (blade, fits_of_blade[0])
+        for blade, fits_of_blade in passages_by_blade.items()
+        if fits_of_blade
     ]
     warning_texts += [
-        f"blade {blade}, probe at {np.degrees(probe_angle):.5g} degrees: {EXCLUDED_PROBE_REASON}"
+        f"blade {blade}, probe at {np.degrees(excluded_probe_angle):.5g} degrees: "
+        f"{EXCLUDED_PROBE_REASON}"
         for blade, fit in blades_and_clearest_fits
-        for probe_angle in fit.blind
+        for excluded_probe_angle in fit.blind
     ]
     for blade, fit in blades_and_resonances:
-        untested_text = (
+        untested_order_text = (
             f"{format_count(fit.probes, 'probe')} {UNTESTED_ORDER_DOUBT_FORMAT.format(fit.order)}"
         )
         doubts_and_texts = (
-            (fit.untested, untested_text),
+            (fit.is_order_untested, untested_order_text),
             (
-                fit.ambiguous and not fit.untested,
-                _describe_orders(EQUALLY_GOOD_ORDERS_REMARK_END, fit.ambiguous),
+                fit.ambiguous_orders and not fit.is_order_untested,
+                _describe_orders(EQUALLY_GOOD_ORDERS_REMARK_END, fit.ambiguous_orders),
             ),
-            (fit.disagree, fit.disagreement_in_words),
+            (fit.passages_disagree, fit.disagreement_in_words),
             (
                 fit.in_doubt,
                 "the residuals are correlated, due to drift or another vibration nearby: the order "
@@ -265,16 +274,17 @@ def _conclude_from_passages(
         fit.stiffening == 0.0 for _, fit in blades_and_resonances[:1]
     )
     note_texts += [
-        f"blade {blade}: {_describe_constant_frequency_fit(line_fit)}"
+        f"blade {blade}: {_describe_asynchronous_fit(asynchronous_fit)}"
         for blade, fit in blades_and_clearest_fits
-        for line_fit in fit.asynchronous
+        for asynchronous_fit in fit.asynchronous
     ]
     conclusion = Conclusion("no resonance found")
     if blades_and_resonances:
         blade, clearest_fit = blades_and_resonances[0]
-        answer_text = f"the clearest is of blade {blade}, at {clearest_fit.in_words}"
+        clearest_resonance_text = f"the clearest is of blade {blade}, at {clearest_fit.in_words}"
         conclusion = Conclusion(
-            f"{format_count(len(blades_and_resonances), 'resonance')} found", answer_text
+            f"{format_count(len(blades_and_resonances), 'resonance')} found",
+            clearest_resonance_text,
         )
     return conclusion, note_texts, warning_texts
 
@@ -287,14 +297,17 @@ def _describe_orders(statement_text: str, orders: Iterable[float]) -> str:
     return f"orders that {statement_text}: {format_first_orders([*orders])}"
 
 
-def _describe_constant_frequency_fit(line_fit: TipFit) -> str:
+def _describe_asynchronous_fit(asynchronous_fit: TipFit) -> str:
     """Describe a vibration of constant frequency, independent of the speed.
 
     The text has the frequency [Hz], and the amplitude of the first harmonic with its error.
     """
-    amplitude, amplitude_error = line_fit.amplitudes[0], line_fit.amplitude_errors[0]
+    amplitude, amplitude_error = (
+        asynchronous_fit.amplitudes[0],
+        asynchronous_fit.amplitude_errors[0],
+    )
     line_text = (
-        f"{line_fit.omega / RAD_PER_TURN:.6g} Hz, "
+        f"{asynchronous_fit.omega / RAD_PER_TURN:.6g} Hz, "
         f"{_format_amplitude_with_error(amplitude, amplitude_error)}"
     )
     return f"a vibration of no engine order: {line_text}"
@@ -305,7 +318,9 @@ def _format_amplitude_with_error(amplitude: float, amplitude_error: float) -> st
     return f"{format_quantity(amplitude, 'm')} ± {format_quantity(amplitude_error, 'm')}"
 
 
-def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list[str]]:
+def _conclude_on_tracked_engine_order(
+    track: TipTrack,
+) -> tuple[Conclusion, Table, list[str], list[str]]:
     """Conclude from an engine order that is tracked along a run-up.
 
     A harmonic is significant if its amplitude at any of n speeds exceeds sqrt(2 ln(n / 0.001))
@@ -333,14 +348,14 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
     )
     peak_rows, note_texts = [], []
     # Without any vibration, the largest amplitude at n speeds is several errors large.
-    allowed_noise_ratio = float(
-        np.sqrt(2.0 * np.log(len(track.speed) / CONFIDENCE_LEVELS.misfit_significance_level))
+    min_amplitude_to_error_ratio = float(
+        np.sqrt(2.0 * np.log(len(track.speed) / SIGNIFICANCE_LIMITS.misfit_significance_level))
     )
     for harmonic_index, harmonic_multiple in enumerate(track.multiples):
         amplitudes = track.amplitudes[:, harmonic_index]
         amplitude_errors = track.amplitude_errors[:, harmonic_index]
         clear_amplitudes = np.where(
-            amplitudes <= allowed_noise_ratio * amplitude_errors, np.nan, amplitudes
+            amplitudes <= min_amplitude_to_error_ratio * amplitude_errors, np.nan, amplitudes
         )
         if not np.all(np.isnan(clear_amplitudes)):
             peak_row_index = int(np.nanargmax(clear_amplitudes))
@@ -367,13 +382,13 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
                 answer_text = f"harmonic {harmonic_multiple:g} is largest at {peak_text}"
                 conclusion = Conclusion("run-up tracked", answer_text)
         elif not np.all(np.isnan(amplitudes)):
-            upper_bounds = (
-                amplitudes + CONFIDENCE_LEVELS.equal_fit_standard_errors * amplitude_errors
+            amplitude_upper_bounds = (
+                amplitudes + SIGNIFICANCE_LIMITS.n_standard_errors_of_equal_fits * amplitude_errors
             )
-            unclear_harmonic_text = UNCLEAR_HARMONIC_DOUBT_FORMAT.format(
-                format_quantity(float(np.nanmax(upper_bounds)), "m")
+            insignificant_amplitude_text = INSIGNIFICANT_AMPLITUDE_NOTE_FORMAT.format(
+                format_quantity(float(np.nanmax(amplitude_upper_bounds)), "m")
             )
-            note_texts.append(f"harmonic {harmonic_multiple:g}: {unclear_harmonic_text}")
+            note_texts.append(f"harmonic {harmonic_multiple:g}: {insignificant_amplitude_text}")
     peak_column_names = [
         "multiple, where it is largest",
         *(track_table.columns[column_index] for column_index in kept_column_indices),
@@ -392,7 +407,7 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
     return conclusion, peak_table, note_texts, doubt_texts
 
 
-def _conclude_from_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
+def _conclude_on_steady_vibrations(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
     """Conclude from vibrations at constant speed, one fit for each blade.
 
     Returns
@@ -448,13 +463,13 @@ def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
         Doubts.
     """
     note_texts = [
-        f"in addition, {_describe_constant_frequency_fit(line_fit)}"
-        for line_fit in fit.asynchronous
+        f"in addition, {_describe_asynchronous_fit(asynchronous_fit)}"
+        for asynchronous_fit in fit.asynchronous
     ]
     if _is_second_harmonic_fitted(fit):
-        harmonic_ratio, ratio_error = fit.ratio()
+        harmonic_ratio, harmonic_ratio_error = fit.ratio()
         note_texts.append(
-            f"ratio of second to first harmonic: {harmonic_ratio:.4g} ± {ratio_error:.2g}"
+            f"ratio of second to first harmonic: {harmonic_ratio:.4g} ± {harmonic_ratio_error:.2g}"
         )
     misfit_text = (
         "residuals differ between the probes by more than their scatter: "
@@ -464,14 +479,20 @@ def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
     has_spare_probes = fit.spare > 0
     doubts_and_texts = (
         (fit.does_not_fit, misfit_text),
-        (fit.may_be_folded and has_spare_probes and not fit.does_not_fit, ALIASED_HARMONICS_DOUBT),
+        (
+            fit.may_contain_aliased_harmonics and has_spare_probes and not fit.does_not_fit,
+            ALIASED_HARMONICS_DOUBT,
+        ),
         (not has_spare_probes, NO_SPARE_PROBE_DOUBT),
         (
             fit.seen_once and has_spare_probes,
             "each probe measures the vibration only once, which cannot test the fit and its "
             "standard errors: record more revolutions",
         ),
-        (fit.ambiguous, _describe_orders(EQUALLY_GOOD_ORDERS_REMARK_END, fit.ambiguous)),
+        (
+            fit.ambiguous_orders,
+            _describe_orders(EQUALLY_GOOD_ORDERS_REMARK_END, fit.ambiguous_orders),
+        ),
         (fit.hidden, _describe_orders(UNMEASURABLE_ORDERS_REMARK_END, fit.hidden)),
     )
     return note_texts, [doubt_text for is_doubtful, doubt_text in doubts_and_texts if is_doubtful]

@@ -11,10 +11,11 @@ import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.progress import begin_stage
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import (
     INSTANTS_PER_PERIOD,
-    MAX_SEARCH_PIECES,
+    MAX_ORBIT_SEARCH_TAYLOR_PIECES,
     PeriodicOrbit,
     find_orbit,
 )
@@ -36,6 +37,12 @@ IRREGULAR_TOTAL_GROWTH = 1e3
 to a stable orbit the growth is at most the condition number of the multipliers' eigenvectors."""
 
 
+@keep_old_attribute_names(
+    amplitudes="amplitude_in_each_period",
+    last="last_scaled_state",
+    orbits="periodic_orbit_equations",
+    periods="n_integrated_load_periods",
+)
 @dataclass(frozen=True, repr=False)
 class Attractor:
     """Exact motion after many periods.
@@ -47,34 +54,34 @@ class Attractor:
         settle.
     description : str
         Outcome in words.
-    periods : int
+    n_integrated_load_periods : int
         Number of load periods that were integrated.
-    orbits : FlowOrbitEquations
+    periodic_orbit_equations : FlowOrbitEquations
         Equations z(T) = z(0) of the state z at phase zero, after the period T. They hold the flow
         and the load frequency.
-    last : (flow.state_size,)
-        Last state, in the scaled unknowns of ``orbits``.
+    last_scaled_state : (flow.state_size,)
+        Last state, in the scaled unknowns of ``periodic_orbit_equations``.
     growth : float
         Factor by which a small disturbance grows in a period of an irregular motion; else nan.
     """
 
     orbit: PeriodicOrbit | None
     description: str
-    periods: int
-    orbits: FlowOrbitEquations
-    last: np.ndarray
+    n_integrated_load_periods: int
+    periodic_orbit_equations: FlowOrbitEquations
+    last_scaled_state: np.ndarray
     growth: float = math.nan
 
     def __repr__(self) -> str:
         """Return the class name with the outcome in words."""
         return f"{type(self).__name__}({self.description})"
 
-    def amplitudes(self, dof: int | None = None) -> np.ndarray:
+    def amplitude_in_each_period(self, dof: int | None = None) -> np.ndarray:
         """Return half the peak-to-peak displacement in each period: (n,) [m] (collective).
 
-        A period is the period of ``orbits``. If the motion settles, n is the number of these
-        periods in the orbit's period; otherwise n = 100 further periods are integrated. With n > 1,
-        each period is sampled at 512 instants.
+        A period is the period of ``periodic_orbit_equations``. If the motion settles, n is the
+        number of these periods in the orbit's period; otherwise n = 100 further periods are
+        integrated. With n > 1, each period is sampled at 512 instants.
 
         Parameters
         ----------
@@ -86,16 +93,22 @@ class Attractor:
         ConvergenceError
             The motion cannot be integrated for so long.
         """
-        if self.orbit is not None and self.orbit.subharmonic == self.orbits.subharmonic:
+        if (
+            self.orbit is not None
+            and self.orbit.subharmonic == self.periodic_orbit_equations.subharmonic
+        ):
             return np.array([self.orbit.amplitude(dof)])
-        flow, omega = self.orbits.flow, self.orbits.omega
-        period = 2.0 * np.pi * self.orbits.subharmonic / omega
-        state, n_periods = self.orbits.state(self.last), 100
+        flow, omega = self.periodic_orbit_equations.flow, self.periodic_orbit_equations.omega
+        period = 2.0 * np.pi * self.periodic_orbit_equations.subharmonic / omega
+        start_state, n_periods = self.periodic_orbit_equations.state(self.last_scaled_state), 100
         if self.orbit is not None:
-            state, n_periods = self.orbit.state, self.orbit.subharmonic // self.orbits.subharmonic
+            start_state, n_periods = (
+                self.orbit.state,
+                self.orbit.subharmonic // self.periodic_orbit_equations.subharmonic,
+            )
         sample_times = np.arange(n_periods * INSTANTS_PER_PERIOD) * period / INSTANTS_PER_PERIOD
         structure_displacement = flow.advance(
-            state, omega, n_periods * period, instants=sample_times
+            start_state, omega, n_periods * period, instants=sample_times
         ).samples.displacement
         period_displacements = flow.structure.values_at(structure_displacement, [dof]).reshape(
             n_periods, INSTANTS_PER_PERIOD
@@ -216,16 +229,19 @@ def find_irregular_motion(
         flow.energy_weights(omega / subharmonic),
     )
     state_change = np.random.default_rng(1).normal(size=flow.state_size) / energy_weights
-    remaining_pieces, cumulative_log_growths = MAX_SEARCH_PIECES, [0.0]
+    remaining_taylor_pieces, cumulative_log_growths = MAX_ORBIT_SEARCH_TAYLOR_PIECES, [0.0]
     with suppress(ConvergenceError):  # also at the end of its budget
         for _ in range(MAX_GROWTH_PERIODS):
-            motion = flow.advance(
-                state, omega, period, budget=Budget(allowed_pieces=remaining_pieces)
+            period_motion = flow.advance(
+                state, omega, period, budget=Budget(allowed_pieces=remaining_taylor_pieces)
             )
-            state_change = motion.track @ (
+            state_change = period_motion.track @ (
                 state_change / np.linalg.norm(energy_weights * state_change)
             )
-            state, remaining_pieces = motion.state, remaining_pieces - motion.n_taylor_pieces
+            state, remaining_taylor_pieces = (
+                period_motion.state,
+                remaining_taylor_pieces - period_motion.n_taylor_pieces,
+            )
             cumulative_log_growths.append(
                 cumulative_log_growths[-1] + math.log(np.linalg.norm(energy_weights * state_change))
             )
@@ -233,16 +249,16 @@ def find_irregular_motion(
     total_log_growth = cumulative_log_growths[-1] - cumulative_log_growths[transient_end_index]
     if not total_log_growth > math.log(IRREGULAR_TOTAL_GROWTH):  # nan neither
         return None
-    growth_per_period = math.exp(
+    growth_factor_per_period = math.exp(
         total_log_growth / (len(cumulative_log_growths) - 1 - transient_end_index)
     )
     orbit_equations = FlowOrbitEquations(flow, omega, state, subharmonic)
     return Attractor(
         None,
         "is irregular: a small disturbance grows"
-        f" {float(f'{growth_per_period:.2g}'):,g}-fold in a period",
+        f" {float(f'{growth_factor_per_period:.2g}'):,g}-fold in a period",
         (len(cumulative_log_growths) - 1) * subharmonic,
         orbit_equations,
         orbit_equations.start_unknown,
-        growth_per_period,
+        growth_factor_per_period,
     )

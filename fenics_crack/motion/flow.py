@@ -39,12 +39,12 @@ from fenics_crack.kernel import NULL, Struct, attach_destructor, kernel, pointer
 from fenics_crack.model.contact import (
     SETS_MEMORY_FRACTION,
     ContactLaw,
-    add_contact_rows,
+    add_pair_for_each_contact_force,
     check_law,
     friction_of,
     is_regular,
     is_unilateral,
-    merge_rows_of_pairs,
+    merge_layers_of_pairs,
     spring_compliances,
 )
 from fenics_crack.model.modal import all_modes, is_small
@@ -137,7 +137,9 @@ def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -
     softness = spring_compliances(contact, structure.n_pairs)
     if np.all(softness):
         return None
-    static_flexibility = all_modes(add_contact_rows(contact, structure)).static_pair_compliance()
+    static_flexibility = all_modes(
+        add_pair_for_each_contact_force(contact, structure)
+    ).static_pair_compliance()
     if not is_regular(static_flexibility + np.diag(softness)):
         allowed_text = (
             "a structure whose crack faces have no mass: "
@@ -147,7 +149,7 @@ def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -
     return None
 
 
-class Flow:
+class ModalFlow:
     """Flow of a small structure: motion from a state under the structure's load.
 
     A state has ``state_size`` entries: modal displacements q and velocities q', with friction also
@@ -180,51 +182,51 @@ class Flow:
         R_inf + diag(1 / kappa).
     modal_load : (2K+1, n_modes)
         Load of the modes: mean, then cosine and sine part of each order up to K.
-    load_gap : (2K+1, n_rows) [m]
+    massless_load_gap_less_clearance : (2K+1, n_rows) [m]
         Gaps by the load on massless coordinates, less the clearance; rows as in ``modal_load``.
     """
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         self.structure, self.contact = structure, contact
         self.friction_law = friction_of(contact)
-        structure_with_rows = add_contact_rows(contact, structure)
-        self.n_normal_rows = structure_with_rows.n_pairs // (2 if self.friction_law else 1)
-        self.clearance = (structure_with_rows if self.friction_law else structure).clearance
-        self.modal_model = modal_model = all_modes(structure_with_rows)
+        structure_with_contact_rows = add_pair_for_each_contact_force(contact, structure)
+        self.n_normal_rows = structure_with_contact_rows.n_pairs // (2 if self.friction_law else 1)
+        self.clearance = (structure_with_contact_rows if self.friction_law else structure).clearance
+        self.modal_model = modal_model = all_modes(structure_with_contact_rows)
         self.n_modes = len(modal_model.squares)
         self.state_size = 2 * self.n_modes + (structure.n_pairs if self.friction_law else 0)
         self.residual_flexibility = modal_model.static_pair_compliance()
         self.softness = spring_compliances(contact, structure.n_pairs)
         self.compliance = self.residual_flexibility + np.diag(self.softness)
         self.modal_load = np.ascontiguousarray(structure.force @ modal_model.shapes)
-        self.load_gap = np.zeros((len(self.modal_load), len(self.softness)))
+        self.massless_load_gap_less_clearance = np.zeros((len(self.modal_load), len(self.softness)))
         if modal_model.massless_flexibility is not None:
-            self.load_gap += structure_with_rows.apply_bt(
+            self.massless_load_gap_less_clearance += structure_with_contact_rows.apply_bt(
                 structure.force @ modal_model.massless_flexibility
             )
-        self.load_gap[0] -= structure_with_rows.clearance
+        self.massless_load_gap_less_clearance[0] -= structure_with_contact_rows.clearance
 
     def state(
         self,
         displacement: np.ndarray,
         velocity: np.ndarray,
-        sticking_places: np.ndarray | None = None,
+        slider_positions: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the states (..., state_size) of displacements and velocities (..., n_dofs).
 
-        With friction, ``sticking_places`` (..., n_pairs) [m] are the slider positions h: tangential
-        gaps less the deformation of the tangential springs. Default: the tangential gaps under the
-        mean load without contact forces.
+        With friction, ``slider_positions`` (..., n_pairs) [m] are the slider positions h:
+        tangential gaps less the deformation of the tangential springs. Default: the tangential gaps
+        under the mean load without contact forces.
         """
         dof_to_mode_matrix, n_pairs = self.modal_model.shapes_inverse.T, self.structure.n_pairs
         state_parts = [displacement @ dof_to_mode_matrix, velocity @ dof_to_mode_matrix]
         if self.friction_law:
-            if sticking_places is None:
-                sticking_places = (
+            if slider_positions is None:
+                slider_positions = (
                     state_parts[0] @ self.modal_model.gaps_by_mode[:, n_pairs:]
-                    + self.load_gap[0, n_pairs:]
+                    + self.massless_load_gap_less_clearance[0, n_pairs:]
                 )
-            state_parts.append(sticking_places)
+            state_parts.append(slider_positions)
         return np.concatenate(state_parts, axis=-1)
 
     def displacement(
@@ -290,13 +292,13 @@ class Flow:
         displacement: np.ndarray = modal_displacement @ select_rows(modal_model.shapes).T
         if (
             modal_model.massless_flexibility is not None
-            and modal_model.massless_pair_responses is not None
+            and modal_model.massless_displacement_by_pair_forces is not None
         ):
             displacement += (
                 load_basis
                 @ select_rows((self.structure.force @ modal_model.massless_flexibility).T).T
             )
-            responses = modal_model.massless_pair_responses[:, : force.shape[1]]
+            responses = modal_model.massless_displacement_by_pair_forces[:, : force.shape[1]]
             displacement -= force @ select_rows(responses).T
         return displacement
 
@@ -304,7 +306,7 @@ class Flow:
 # --- exact ----------------------------------------------------------------------------------------
 
 
-class ContactFlow(Flow):
+class ContactFlow(ModalFlow):
     """Exact flow, without time steps, from one contact event to the next."""
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
@@ -314,11 +316,11 @@ class ContactFlow(Flow):
         closed_stiffness_matrix = (
             np.diag(modal_model.squares) + modal_model.gaps_by_mode @ closed_pair_forces_of_modes
         )
-        self.rate_bound = _upper_bound_of_rates(
+        self.mode_rate_bound = _upper_bound_of_rates(
             float(np.linalg.eigvalsh(closed_stiffness_matrix)[-1]), modal_model.damping
         )
         """Upper bound of all modes' oscillation and decay rates, for any closed pairs [1/s]."""
-        self.open_rate_bound = _upper_bound_of_rates(
+        self.open_mode_rate_bound = _upper_bound_of_rates(
             float(modal_model.squares.max()), modal_model.damping
         )
         """Upper bound of these rates while all pairs are open [1/s]."""
@@ -334,7 +336,8 @@ class ContactFlow(Flow):
             rows=as_doubles(modal_model.gaps_by_mode.T), compliance=as_doubles(self.compliance),
             force=self.modal_load,
             harmonics=len(self.modal_load) // 2,
-            gap=self.load_gap, max_rate=self.rate_bound, max_open_rate=self.open_rate_bound,
+            gap=self.massless_load_gap_less_clearance, max_rate=self.mode_rate_bound,
+            max_open_rate=self.open_mode_rate_bound,
             max_set_numbers=int(SETS_MEMORY_FRACTION * machine_memory()) // 8,
         )  # fmt: skip
         self.handle = attach_destructor(
@@ -358,19 +361,27 @@ class ContactFlow(Flow):
         the smallest mu from 400 random combinations; inf without such an eigenvalue.
         """
         n_pairs, critical_coefficients = self.structure.n_pairs, [np.inf]
-        for pair_states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
-            closed_pair_indices = np.flatnonzero(pair_states)
-            stuck_pair_indices = np.flatnonzero(pair_states == kernel.STICK)
-            row_indices = np.concatenate([closed_pair_indices, n_pairs + stuck_pair_indices])
-            row_compliance = self.compliance[row_indices]
-            slip_friction_matrix = np.zeros((len(row_indices), len(row_indices)))
-            slip_signs = 1.0 * (pair_states == kernel.SLIP_UP) - (pair_states == kernel.SLIP_DOWN)
-            tangential_compliance_columns = row_compliance[:, n_pairs + closed_pair_indices]
-            slip_friction_matrix[:, : len(closed_pair_indices)] = (
-                tangential_compliance_columns * slip_signs[closed_pair_indices]
+        for trial_pair_states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
+            trial_closed_pair_indices = np.flatnonzero(trial_pair_states)
+            trial_stuck_pair_indices = np.flatnonzero(trial_pair_states == kernel.STICK)
+            closed_or_stuck_row_indices = np.concatenate(
+                [trial_closed_pair_indices, n_pairs + trial_stuck_pair_indices]
+            )
+            row_compliance = self.compliance[closed_or_stuck_row_indices]
+            slip_friction_matrix = np.zeros(
+                (len(closed_or_stuck_row_indices), len(closed_or_stuck_row_indices))
+            )
+            slip_signs = 1.0 * (trial_pair_states == kernel.SLIP_UP) - (
+                trial_pair_states == kernel.SLIP_DOWN
+            )
+            tangential_compliance_columns = row_compliance[:, n_pairs + trial_closed_pair_indices]
+            slip_friction_matrix[:, : len(trial_closed_pair_indices)] = (
+                tangential_compliance_columns * slip_signs[trial_closed_pair_indices]
             )
             eigenvalues = np.linalg.eigvals(
-                np.linalg.solve(row_compliance[:, row_indices], slip_friction_matrix)
+                np.linalg.solve(
+                    row_compliance[:, closed_or_stuck_row_indices], slip_friction_matrix
+                )
             )
             is_real_negative_eigenvalue = (eigenvalues.imag == 0.0) & (eigenvalues.real < 0.0)
             critical_coefficients.extend(-1.0 / eigenvalues.real[is_real_negative_eigenvalue])
@@ -391,9 +402,12 @@ class ContactFlow(Flow):
         modal_displacement_by_force = mode_flexibilities[:, None] * normal_gaps_of_modes
         # With all pairs open:
         modal_displacement = mode_flexibilities * self.modal_load[0]
-        normal_gaps = modal_displacement @ normal_gaps_of_modes + self.load_gap[0, :n_pairs]
+        normal_gaps_without_contact = (
+            modal_displacement @ normal_gaps_of_modes
+            + self.massless_load_gap_less_clearance[0, :n_pairs]
+        )
         normal_forces = np.zeros(n_pairs)
-        if np.any(normal_gaps > 0.0):
+        if np.any(normal_gaps_without_contact > 0.0):
             from scipy.optimize import nnls  # slow to import
 
             # D lambda - gap >= 0 and lambda >= 0, complementary, with D = L L^T: the minimum of
@@ -401,16 +415,16 @@ class ContactFlow(Flow):
             cholesky_factor = np.linalg.cholesky(
                 normal_compliance[:n_pairs] + normal_gaps_of_modes.T @ modal_displacement_by_force
             )
-            normal_forces = nnls(cholesky_factor.T, np.linalg.solve(cholesky_factor, normal_gaps))[
-                0
-            ]
+            normal_forces = nnls(
+                cholesky_factor.T, np.linalg.solve(cholesky_factor, normal_gaps_without_contact)
+            )[0]
             modal_displacement = modal_displacement - modal_displacement_by_force @ normal_forces
         state_parts = [modal_displacement, np.zeros_like(modal_displacement)]
         if self.friction_law:
             state_parts.append(
                 (
                     modal_displacement @ modal_model.gaps_by_mode
-                    + self.load_gap[0]
+                    + self.massless_load_gap_less_clearance[0]
                     - normal_compliance @ normal_forces
                 )[n_pairs:]
             )
@@ -422,7 +436,7 @@ class ContactFlow(Flow):
         A piece is an interval with a single Taylor series. In a piece, the fastest mode with any
         closed pairs turns by 10 rad.
         """
-        return float(self.rate_bound * duration / kernel.MAX_PIECE_ANGLE)
+        return float(self.mode_rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 
     def energy_weights(self, base_omega: float) -> np.ndarray:
         """Return the weights w of a state z for the energy norm |w z|: (state_size,).
@@ -449,9 +463,13 @@ class ContactFlow(Flow):
         energy norm is divided by max(w_1, ``base_omega``).
         """
         weights = self.energy_weights(base_omega)
-        mode_rates = weights[: self.n_modes]
-        stick_position_divisors = np.full(self.state_size - 2 * self.n_modes, mode_rates[0])
-        return weights / np.concatenate([mode_rates, mode_rates, stick_position_divisors])
+        floored_mode_omegas = weights[: self.n_modes]
+        stick_position_divisors = np.full(
+            self.state_size - 2 * self.n_modes, floored_mode_omegas[0]
+        )
+        return weights / np.concatenate(
+            [floored_mode_omegas, floored_mode_omegas, stick_position_divisors]
+        )
 
     def advance(
         self,
@@ -507,7 +525,7 @@ class ContactFlow(Flow):
         n_taylor_pieces = int(motion_struct.address.n_pieces)
         return IntegratedMotion(end_state, n_events, n_taylor_pieces, track, samples)
 
-    def integrate_parts(
+    def integrate_equal_parts_of_period(
         self, states: np.ndarray, omega: float, period: float
     ) -> tuple[np.ndarray, Track, np.ndarray]:
         """Integrate n motions, each over an equal part of a period.
@@ -534,15 +552,18 @@ class ContactFlow(Flow):
             The motion exceeds its budget, or is not finite.
         """
         states = as_doubles(states)
-        end_states, interval_counts = np.empty_like(states), np.empty(len(states), dtype=np.intc)
+        end_states, cumulative_interval_counts = (
+            np.empty_like(states),
+            np.empty(len(states), dtype=np.intc),
+        )
         motion_struct, copy_track = self._make_motion_struct_and_track_copier(None, omega=omega)
         outcome = kernel.flow_advance_parts(
             self.handle, motion_struct.address, len(states), period, pointer(states),
-            pointer(end_states), pointer(interval_counts),
+            pointer(end_states), pointer(cumulative_interval_counts),
         )  # fmt: skip
         _check_integration_outcome(outcome, motion_struct.address.n_events)
         track = Track(self, omega, 0.0, **copy_track(motion_struct.address.n_intervals))
-        return end_states, track, interval_counts
+        return end_states, track, cumulative_interval_counts
 
     def _make_motion_struct_and_track_copier(
         self, budget: Budget | None, **members: Any
@@ -614,7 +635,7 @@ class Track:
     is_first: np.ndarray | None = None
     ratios: np.ndarray | None = None
 
-    def mean_time_share(self, is_selected: np.ndarray) -> float:
+    def mean_time_share_of_pairs(self, is_selected: np.ndarray) -> float:
         """Return the fraction of time in which pairs are selected, as a mean over the pairs.
 
         ``is_selected`` (n, n_pairs) is True for the selected pairs in each of the n intervals.
@@ -624,12 +645,14 @@ class Track:
     @property
     def closed_share(self) -> float:
         """Return the fraction of time in contact, as a mean over the pairs."""
-        return self.mean_time_share(self.sets[:, : self.flow.structure.n_pairs] > 0)
+        return self.mean_time_share_of_pairs(self.sets[:, : self.flow.structure.n_pairs] > 0)
 
     @cached_property
     def _struct(self) -> Struct:
         """Return the kernel's struct ``flow_track`` with the track's arrays."""
-        members_by_name = {name: member for name, member in vars(self).items() if name != "flow"}
+        members_by_name = {
+            name: member_value for name, member_value in vars(self).items() if name != "flow"
+        }
         return Struct("flow_track", n_intervals=len(self.lengths), **members_by_name)
 
     @cached_property
@@ -670,15 +693,18 @@ class Track:
 
         The change is multiplied by the flow's derivative over the track. This matrix is not formed.
         """
-        interval_counts = np.array([len(self.lengths)], dtype=np.intc)
+        cumulative_interval_counts = np.array([len(self.lengths)], dtype=np.intc)
         return np.asarray(
-            self.carry_changes(start_change, np.zeros((1, self.flow.state_size)), interval_counts)[
-                -1
-            ]
+            self.carry_changes(
+                start_change, np.zeros((1, self.flow.state_size)), cumulative_interval_counts
+            )[-1]
         )
 
     def carry_changes(
-        self, start_change: np.ndarray, state_jumps: np.ndarray, interval_counts: np.ndarray
+        self,
+        start_change: np.ndarray,
+        state_jumps: np.ndarray,
+        cumulative_interval_counts: np.ndarray,
     ) -> np.ndarray:
         """Return how a small change d of the state evolves along the track.
 
@@ -690,7 +716,7 @@ class Track:
             d_0.
         state_jumps : (n, state_size)
             Changes j added at the parts' ends.
-        interval_counts : (n,) int
+        cumulative_interval_counts : (n,) int
             Number of intervals up to each part's end.
 
         Returns
@@ -698,15 +724,18 @@ class Track:
         (n + 1, state_size)
             d at the start of each part, and at the end.
         """
-        state_changes = np.empty((len(interval_counts) + 1, self.flow.state_size))
-        state_changes[0] = start_change
+        state_changes_at_part_boundaries = np.empty(
+            (len(cumulative_interval_counts) + 1, self.flow.state_size)
+        )
+        state_changes_at_part_boundaries[0] = start_change
         outcome = kernel.flow_carry_changes(
-            self.flow.handle, self._struct.address, len(interval_counts), pointer(interval_counts),
+            self.flow.handle, self._struct.address, len(cumulative_interval_counts),
+            pointer(cumulative_interval_counts),
             pointer(as_doubles(state_jumps)),
-            pointer(state_changes),
+            pointer(state_changes_at_part_boundaries),
         )  # fmt: skip
         _check_integration_outcome(outcome, len(self.lengths) - 1)
-        return state_changes
+        return state_changes_at_part_boundaries
 
 
 @dataclass(frozen=True)
@@ -742,19 +771,19 @@ class Samples:
         return self.pair_states > 0
 
     @cached_property
-    def row_forces(self) -> np.ndarray:
+    def contact_row_forces(self) -> np.ndarray:
         """Return contact forces of the flow's rows: (n, n_rows) [N]."""
         if self.flow.friction_law:
             return self.forces_and_openings[:, : len(self.flow.softness)]
         return np.where(self.is_closed, np.maximum(self.forces_and_openings, 0.0), 0.0)
 
     @cached_property
-    def row_gaps(self) -> np.ndarray:
+    def contact_row_gaps(self) -> np.ndarray:
         """Return gaps of the flow's rows, positive for penetration: (n, n_rows) [m]."""
-        spring_gaps = self.row_forces * self.flow.softness
+        spring_deformations = self.contact_row_forces * self.flow.softness
         if self.flow.friction_law:
-            return self.forces_and_openings[:, len(self.flow.softness) :] + spring_gaps
-        return np.where(self.is_closed, spring_gaps, -self.forces_and_openings)
+            return self.forces_and_openings[:, len(self.flow.softness) :] + spring_deformations
+        return np.where(self.is_closed, spring_deformations, -self.forces_and_openings)
 
     @cached_property
     def _gaps_and_forces(self) -> tuple[np.ndarray, np.ndarray]:
@@ -763,8 +792,8 @@ class Samples:
         With friction, tangential columns follow: (n, 2 n_pairs).
         """
         flow = self.flow
-        return merge_rows_of_pairs(
-            flow.contact, flow.structure.n_pairs, self.row_gaps, self.row_forces
+        return merge_layers_of_pairs(
+            flow.contact, flow.structure.n_pairs, self.contact_row_gaps, self.contact_row_forces
         )
 
     @property
@@ -784,7 +813,7 @@ class Samples:
         return self._gaps_and_forces[0]
 
     @property
-    def sticking_places(self) -> np.ndarray:
+    def slider_positions(self) -> np.ndarray:
         """Return the slider positions h of friction: (n, n_pairs) [m].
 
         h is the tangential gap less the tangential spring's deformation, and is constant while the
@@ -798,7 +827,7 @@ class Samples:
 
         Modal displacements and velocities, and with friction the slider positions of all pairs.
         """
-        return np.hstack([self.states, self.sticking_places])
+        return np.hstack([self.states, self.slider_positions])
 
     @property
     def force(self) -> np.ndarray:

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fenics_crack.basics.errors import N_RECORDED_PERIODS
+from fenics_crack.basics.errors import N_RECORDED_PERIODS_OF_INTEGRATION
 from fenics_crack.basics.observables import (
     IN_FILES_ONLY,
     REQUIRES_FRICTION,
@@ -39,9 +39,9 @@ from fenics_crack.basics.observables import (
     observable_names,
     read_observables,
 )
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import Tabular, hertz_property
-from fenics_crack.model.modes import NEGLIGIBLE
+from fenics_crack.model.modes import STIFFNESS_SOLUTION_ROUNDING
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.extremes import RecordFunction, find_maximum_values
 
@@ -122,7 +122,7 @@ class Indicators(Observables, Tabular):
 
 
 @dataclass(frozen=True)
-class Record:
+class MotionRecord:
     """A motion over its period, or over several load periods, at n instants.
 
     A record has m observed displacements, and the crack faces' gaps and contact forces. Each
@@ -190,7 +190,7 @@ class Record:
         """
         return self.gaps.shape[1] // (1 if self.friction_coefficient is None else 2)
 
-    def last_periods(self, periods: int) -> Record:
+    def last_periods(self, periods: int) -> MotionRecord:
         """Cut the record to the last load periods.
 
         The record of a periodic motion is returned unchanged.
@@ -207,7 +207,7 @@ class Record:
             },
         )
 
-    def select_rows(self, rows: slice) -> Record:
+    def select_rows(self, rows: slice) -> MotionRecord:
         """Keep a slice of the m observed displacements in the record."""
         evaluate_all = self.evaluate_at_period_fractions
         evaluate = evaluate_all and (
@@ -229,8 +229,12 @@ class Record:
 
         Without a mesh, all pairs belong to a single crack.
         """
-        cracks = self.structure.pairs.cracks
-        crack_of_pair = np.zeros(self.n_pairs, dtype=int) if cracks is None else cracks
+        crack_number_of_pair_or_none = self.structure.pairs.cracks
+        crack_of_pair = (
+            np.zeros(self.n_pairs, dtype=int)
+            if crack_number_of_pair_or_none is None
+            else crack_number_of_pair_or_none
+        )
         return crack_of_pair[:, None] == np.unique(crack_of_pair)
 
     @cached_property
@@ -270,7 +274,7 @@ class Record:
         )
 
 
-class Harmonics:
+class DisplacementHarmonics:
     """Harmonics of an observed displacement.
 
     U_j is the amplitude at j times the load's frequency.
@@ -294,7 +298,7 @@ class Harmonics:
     def __init__(self, coefficients: np.ndarray, subharmonic: int) -> None:
         self.coefficients, self._subharmonic = coefficients, subharmonic
         self._amplitudes = np.hypot(coefficients[1::2], coefficients[2::2])
-        amplitude_at_load_frequency = self.harmonic(1)
+        amplitude_at_load_frequency = self.amplitude_at_load_multiple(1)
         self.mean = float(coefficients[0])
         self.amplitude_at_load_frequency = (
             amplitude_at_load_frequency if amplitude_at_load_frequency > 0.0 else math.nan
@@ -306,10 +310,13 @@ class Harmonics:
             self.ratio_largest = (
                 float(higher_amplitudes[largest_index]) / self.amplitude_at_load_frequency
             )
-            if higher_amplitudes[largest_index] > NEGLIGIBLE * np.abs(coefficients).max():
+            if (
+                higher_amplitudes[largest_index]
+                > STIFFNESS_SOLUTION_ROUNDING * np.abs(coefficients).max()
+            ):
                 self.largest_order = 2.0 + largest_index
 
-    def harmonic(self, multiple: float) -> float:
+    def amplitude_at_load_multiple(self, multiple: float) -> float:
         """Return the amplitude U_j [m] at j = ``multiple`` times the load's frequency.
 
         nan if the motion has no such harmonic, or too few harmonics.
@@ -323,10 +330,10 @@ class Harmonics:
 
         U_1 is the amplitude at the load's frequency, U_j at j times this frequency.
         """
-        return self.harmonic(multiple) / self.amplitude_at_load_frequency
+        return self.amplitude_at_load_multiple(multiple) / self.amplitude_at_load_frequency
 
 
-class PointDisplacement(Harmonics):
+class PointDisplacement(DisplacementHarmonics):
     """An observed displacement in a :class:`Record`: row number ``row``.
 
     Attributes
@@ -337,7 +344,7 @@ class PointDisplacement(Harmonics):
         Half the peak-to-peak displacement.
     """
 
-    def __init__(self, record: Record, row: int) -> None:
+    def __init__(self, record: MotionRecord, row: int) -> None:
         super().__init__(record.coefficients[:, row], record.subharmonic)
         self.displacement, n_record_rows = record.row_products[:, row], record.row_products.shape[1]
         self.amplitude = 0.5 * float(
@@ -345,7 +352,7 @@ class PointDisplacement(Harmonics):
         )
 
 
-class CrackFaces:
+class CrackFaceGapsAndForces:
     """The crack faces in a motion, sampled in a :class:`Record`.
 
     Attributes
@@ -363,7 +370,7 @@ class CrackFaces:
     load periods they are for the last load period.
     """
 
-    def __init__(self, record: Record) -> None:
+    def __init__(self, record: MotionRecord) -> None:
         n_pairs, last_period_record = record.n_pairs, record.last_periods(1)
         self.gap, self.force = record.gaps[:, :n_pairs], record.forces[:, :n_pairs]
         self.gap_and_force_maxima = record.row_and_face_maxima[-4:]
@@ -443,10 +450,10 @@ class ExtraRows(NamedTuple):
     """
 
     rows: np.ndarray
-    read_numbers: Callable[[Record], dict[str, float]]
+    read_numbers: Callable[[MotionRecord], dict[str, float]]
 
 
-class ObservedDisplacement(NamedTuple):
+class IndicatorsAndCoefficients(NamedTuple):
     """Result of observing a displacement.
 
     Attributes
@@ -461,7 +468,7 @@ class ObservedDisplacement(NamedTuple):
     real_fourier_coefficients: np.ndarray
 
 
-@with_old_names(
+@keep_old_attribute_names(
     faces="face_indicators",
     measure="indicators_of_dofs",
     observe="observe_dofs",
@@ -476,7 +483,7 @@ class ObservedMotion:
 
     structure: Structure
 
-    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
+    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[MotionRecord]:
         """Yield the motion's :class:`Record`, or one for each curve point (collective).
 
         Parameters
@@ -504,7 +511,8 @@ class ObservedMotion:
         None stands for the watched dof.
         """
         return [
-            observed_displacement.indicators for observed_displacement in self.observe_dofs(dofs)[0]
+            indicators_and_coefficients.indicators
+            for indicators_and_coefficients in self.observe_dofs(dofs)[0]
         ]
 
     @property
@@ -515,10 +523,10 @@ class ObservedMotion:
         are closed, stick or slip. Names as in :class:`Indicators`. For a curve, arrays (n,) over
         the points. Numbers that are nan everywhere are left out.
         """
-        if not self._face_number_dicts:
+        if not self._face_indicators_of_records:
             self.observe_rows(np.zeros((0, self.structure.n_local)))
-        value_or_array_by_indicator_name = self._gather_over_curve_points_by_name(
-            self._face_number_dicts
+        value_or_array_by_indicator_name = self._join_curve_point_values_by_name(
+            self._face_indicators_of_records
         )
         return {
             name: value
@@ -528,7 +536,7 @@ class ObservedMotion:
 
     def observe_dofs(
         self, dofs: Sequence[int | None], places: Sequence[ExtraRows] = ()
-    ) -> tuple[list[ObservedDisplacement], dict[str, Any]]:
+    ) -> tuple[list[IndicatorsAndCoefficients], dict[str, Any]]:
         """Observe displacements at dofs, and further numbers from extra rows (collective).
 
         The motion is evaluated once, for all extra rows and all dofs that were not observed before.
@@ -543,7 +551,7 @@ class ObservedMotion:
 
         Returns
         -------
-        displacements : list of ObservedDisplacement
+        displacements : list of IndicatorsAndCoefficients
             One for each dof.
         numbers : dict
             Numbers from all ``places`` by name; on a curve, arrays (n,) over the points.
@@ -553,23 +561,23 @@ class ObservedMotion:
         new_dofs = [
             dof
             for dof in dict.fromkeys(wanted_dofs)
-            if dof not in self._observed_displacement_by_dof
+            if dof not in self._indicators_and_coefficients_by_dof
         ]
-        place_number_by_name: dict[str, Any] = {}
+        extra_row_value_by_name: dict[str, Any] = {}
         if new_dofs or places:
-            new_observed_displacements, place_number_by_name = self.observe_rows(
+            new_indicators_and_coefficients, extra_row_value_by_name = self.observe_rows(
                 dof_selection_rows(structure, new_dofs), places
             )
-            self._observed_displacement_by_dof.update(
-                zip(new_dofs, new_observed_displacements, strict=True)
+            self._indicators_and_coefficients_by_dof.update(
+                zip(new_dofs, new_indicators_and_coefficients, strict=True)
             )
         return [
-            self._observed_displacement_by_dof[dof] for dof in wanted_dofs
-        ], place_number_by_name
+            self._indicators_and_coefficients_by_dof[dof] for dof in wanted_dofs
+        ], extra_row_value_by_name
 
     def observe_rows(
         self, rows: np.ndarray, places: Sequence[ExtraRows] = ()
-    ) -> tuple[list[ObservedDisplacement], dict[str, Any]]:
+    ) -> tuple[list[IndicatorsAndCoefficients], dict[str, Any]]:
         """Observe products of rows with the displacement in one pass (collective).
 
         Parameters
@@ -581,53 +589,60 @@ class ObservedMotion:
 
         Returns
         -------
-        displacements : list of ObservedDisplacement
+        displacements : list of IndicatorsAndCoefficients
             One for each row.
         numbers : dict
             Numbers from all ``places`` by name; on a curve, arrays (n,) over the points.
         """
-        row_ends = np.cumsum([len(rows), *(len(place.rows) for place in places)]).tolist()
-        all_rows = np.vstack([rows, *(place.rows for place in places)])
+        row_ends = np.cumsum([len(rows), *(len(extra_rows.rows) for extra_rows in places)]).tolist()
+        all_rows = np.vstack([rows, *(extra_rows.rows for extra_rows in places)])
         number_dicts_of_records = []
-        coefficients_of_records = []
-        place_number_dicts = list[dict[str, float]]()
-        for record_index, full_record in enumerate(self.yield_records_of_row_products(all_rows)):
-            dof_record = full_record.last_periods(N_RECORDED_PERIODS)
+        coefficient_arrays_of_records = []
+        extra_row_value_dicts = list[dict[str, float]]()
+        for record_index, record_of_all_rows in enumerate(
+            self.yield_records_of_row_products(all_rows)
+        ):
+            dof_record = record_of_all_rows.last_periods(N_RECORDED_PERIODS_OF_INTEGRATION)
             dof_record = dof_record.select_rows(slice(len(rows))) if places else dof_record
-            if record_index < len(self._face_number_dicts):
+            if record_index < len(self._face_indicators_of_records):
                 dof_record = replace(dof_record, gaps=dof_record.gaps[:, :0])
             else:
-                self._face_number_dicts.append(_face_number_by_name(dof_record))
-            shared_number_by_name = {"omega": dof_record.omega} | self._face_number_dicts[
-                record_index
-            ]
-            point_iterator = (PointDisplacement(dof_record, row) for row in range(len(rows)))
+                self._face_indicators_of_records.append(_crack_face_indicator_by_name(dof_record))
+            indicator_shared_by_rows_by_name = {
+                "omega": dof_record.omega
+            } | self._face_indicators_of_records[record_index]
+            point_displacement_iterator = (
+                PointDisplacement(dof_record, row) for row in range(len(rows))
+            )
             number_dicts_of_records.append(
                 [
-                    shared_number_by_name | read_observables(Place.WATCHED_POINT, point)
-                    for point in point_iterator
+                    indicator_shared_by_rows_by_name
+                    | read_observables(Place.WATCHED_POINT, point_displacement)
+                    for point_displacement in point_displacement_iterator
                 ]
             )
-            coefficients_of_records.append(dof_record.coefficients.T)
-            place_number_dicts.append({})
-            for place, row_bounds in zip(places, pairwise(row_ends), strict=True):
-                place_number_dicts[-1] |= place.read_numbers(
-                    full_record.select_rows(slice(*row_bounds))
+            coefficient_arrays_of_records.append(dof_record.coefficients.T)
+            extra_row_value_dicts.append({})
+            for extra_rows, row_bounds in zip(places, pairwise(row_ends), strict=True):
+                extra_row_value_dicts[-1] |= extra_rows.read_numbers(
+                    record_of_all_rows.select_rows(slice(*row_bounds))
                 )
-        observed_displacements = [
-            ObservedDisplacement(
-                Indicators(**self._gather_over_curve_points_by_name(number_dicts_of_row)),
-                self._gather_over_curve_points(list(coefficients_of_row)),
+        indicators_and_coefficients_of_rows = [
+            IndicatorsAndCoefficients(
+                Indicators(**self._join_curve_point_values_by_name(number_dicts_of_row)),
+                self._join_curve_point_values(list(coefficient_arrays_of_row)),
             )
-            for number_dicts_of_row, coefficients_of_row in zip(
+            for number_dicts_of_row, coefficient_arrays_of_row in zip(
                 zip(*number_dicts_of_records, strict=True),
-                zip(*coefficients_of_records, strict=True),
+                zip(*coefficient_arrays_of_records, strict=True),
                 strict=True,
             )
         ]
-        return observed_displacements, self._gather_over_curve_points_by_name(place_number_dicts)
+        return indicators_and_coefficients_of_rows, self._join_curve_point_values_by_name(
+            extra_row_value_dicts
+        )
 
-    def _gather_over_curve_points_by_name(
+    def _join_curve_point_values_by_name(
         self, dicts_of_numbers_by_name: Sequence[Mapping[str, float]]
     ) -> dict[str, Any]:
         """Return each named number over all records: a float, on a curve an array (n,).
@@ -635,13 +650,13 @@ class ObservedMotion:
         ``dicts_of_numbers_by_name`` has a dictionary for each record, all with the same names.
         """
         return {
-            name: self._gather_over_curve_points(
+            name: self._join_curve_point_values(
                 [number_by_name[name] for number_by_name in dicts_of_numbers_by_name]
             )
             for name in dicts_of_numbers_by_name[0]
         }
 
-    def _gather_over_curve_points(self, values: list[Any]) -> Any:
+    def _join_curve_point_values(self, values: list[Any]) -> Any:
         """Return the only entry of ``values``, from a motion with a single record.
 
         A curve overrides this method and returns an array over the points.
@@ -650,12 +665,12 @@ class ObservedMotion:
         return only_record_value
 
     @cached_property
-    def _observed_displacement_by_dof(self) -> dict[int, ObservedDisplacement]:
+    def _indicators_and_coefficients_by_dof(self) -> dict[int, IndicatorsAndCoefficients]:
         """Return the displacements observed so far, by dof."""
         return {}
 
     @cached_property
-    def _face_number_dicts(self) -> list[dict[str, float]]:
+    def _face_indicators_of_records(self) -> list[dict[str, float]]:
         """Return the crack faces' numbers by name, one dictionary for each record.
 
         The list is empty before the first observation.
@@ -663,17 +678,17 @@ class ObservedMotion:
         return []
 
 
-def _face_number_by_name(record: Record) -> dict[str, float]:
+def _crack_face_indicator_by_name(record: MotionRecord) -> dict[str, float]:
     """Return the crack faces' indicators in a record by name.
 
     All are nan without contact pairs, and friction indicators without friction.
     """
     number_by_name = dict.fromkeys(observable_names(Place.CRACK_FACES), math.nan)
     if record.n_pairs:
-        missing_requirement_flag = (
+        excluded_observables_flag = (
             REQUIRES_FRICTION if record.friction_coefficient is None else IN_FILES_ONLY
         )
         number_by_name |= read_observables(
-            Place.CRACK_FACES, CrackFaces(record), missing_requirement_flag
+            Place.CRACK_FACES, CrackFaceGapsAndForces(record), excluded_observables_flag
         )
     return number_by_name | dict(record.exact_number_by_name)

@@ -44,7 +44,7 @@ import scipy.sparse as sparse
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import Described, format_count, hertz_property
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
@@ -57,12 +57,12 @@ from fenics_crack.motion.flow import (
     Samples,
     Track,
 )
-from fenics_crack.motion.motions import ObservedMotion, Record
+from fenics_crack.motion.motions import MotionRecord, ObservedMotion
 from fenics_crack.numerics.equations import (
     MAX_LOCATION_RESIDUAL,
     ROOT_TOLERANCE,
     factorise_transpose,
-    solve_by_transpose_factors,
+    solve_by_factors_of_transpose,
 )
 from fenics_crack.numerics.fourier import fourier_basis_for, fourier_coefficients
 from fenics_crack.numerics.newton import FORCING_TERM, change_relative_to_motion, gmres
@@ -71,7 +71,7 @@ MAX_SEARCH_PERIODS = 20
 """Maximum number of periods that Newton's method integrates in one search for an orbit."""
 MIN_NEWTON_DAMPING = 1e-3
 """Minimum factor of a shortened Newton step; a search that needs a smaller one fails."""
-MAX_SEARCH_PIECES = 20_000
+MAX_ORBIT_SEARCH_TAYLOR_PIECES = 20_000
 """Maximum number of Taylor pieces (intervals with a single Taylor series) in a search: about a
 second, with many pairs. With up to 120 modes the maximum is larger if 20 periods without events
 need more, unless the load is too slow (:func:`is_load_too_slow`)."""
@@ -104,7 +104,7 @@ IMinusMSolver = Callable[[np.ndarray, float], np.ndarray]
 M is formed, the solution is exact and the residual has no effect."""
 
 
-class Prediction(NamedTuple):
+class OrbitPrediction(NamedTuple):
     """Result of one Newton step from a solution's states Z to Z + d, towards an orbit.
 
     Attributes
@@ -114,7 +114,7 @@ class Prediction(NamedTuple):
         the divisor |P^T Z| the mean over time is limited to the oscillation.
     states : (n, flow.state_size)
         Z + d at the starts of n equal parts of the period.
-    solution_track : Track
+    contact_track_of_solution : Track
         States of the pairs along the solution, part after part.
     solve_i_minus_m : IMinusMSolver
         Returns (I - M)^-1 b, with the monodromy matrix M along the solution.
@@ -122,16 +122,19 @@ class Prediction(NamedTuple):
 
     relative_gap_error: float
     states: np.ndarray
-    solution_track: Track
+    contact_track_of_solution: Track
     solve_i_minus_m: IMinusMSolver
 
     @property
     def monodromy(self) -> np.ndarray:
         """Return the monodromy matrix along the solution: (flow.state_size, flow.state_size)."""
-        return self.solution_track.derivative_of_end_state
+        return self.contact_track_of_solution.derivative_of_end_state
 
 
-@with_old_names(
+@keep_old_attribute_names(
+    flows="n_periods_in_newton_search",
+    stuck="always_stuck_pair_indices",
+    work="work_of_load_and_losses",
     events="n_events",
     inverse="i_minus_m_solver",
     sampled="period_samples",
@@ -153,7 +156,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     state : (flow.state_size,)
         State z at phase zero of the load: modal displacements q and velocities q', with friction
         also the pairs' slider positions h.
-    flows : int
+    n_periods_in_newton_search : int
         Number of periods integrated by Newton's method.
     """
 
@@ -162,7 +165,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     subharmonic: int
     motion: IntegratedMotion
     state: np.ndarray
-    flows: int
+    n_periods_in_newton_search: int
 
     frequency = hertz_property()
 
@@ -174,7 +177,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     @property
     def iterations(self) -> int:
         """Return the number of Newton steps, rejected steps included."""
-        return self.flows - 1
+        return self.n_periods_in_newton_search - 1
 
     @property
     def n_events(self) -> int:
@@ -286,7 +289,7 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     def yield_records_of_row_products(
         self, rows: np.ndarray, instants: int | None = None
-    ) -> Iterator[Record]:
+    ) -> Iterator[MotionRecord]:
         """Yield the motion's :class:`Record` over a period: displacements, gaps and forces.
 
         At any time, the motion is interpolated by polynomials through Gauss nodes, with a
@@ -304,12 +307,21 @@ class PeriodicOrbit(ObservedMotion, Described):
             len(self.flow.modal_load) // 2 * self.omega
         )
         gauss_nodes, gauss_weights, _ = gauss_legendre_rule()
-        column_blocks = gauss_samples.row_products(rows), gauss_samples.gaps, gauss_samples.forces
-        node_values, node_indices_in_piece = np.hstack(column_blocks), np.arange(len(gauss_nodes))
+        columns_of_quantities = (
+            gauss_samples.row_products(rows),
+            gauss_samples.gaps,
+            gauss_samples.forces,
+        )
+        node_values, node_indices_in_piece = (
+            np.hstack(columns_of_quantities),
+            np.arange(len(gauss_nodes)),
+        )
         piece_ends = np.cumsum(piece_lengths)
         alternating_signs = (-1.0) ** np.arange(len(gauss_nodes))
         barycentric_weights = alternating_signs * np.sqrt((1.0 - gauss_nodes**2) * gauss_weights)
-        column_splits = np.cumsum([column_block.shape[1] for column_block in column_blocks])[:2]
+        quantity_column_splits = np.cumsum(
+            [quantity_columns.shape[1] for quantity_columns in columns_of_quantities]
+        )[:2]
 
         def interpolate_at(period_fractions: np.ndarray) -> Any:
             """Return row products, gaps and forces at positions in the period, 0 to 1."""
@@ -328,18 +340,22 @@ class PeriodicOrbit(ObservedMotion, Described):
                 (node_weights.ravel(), column_indices.ravel(), row_starts),
                 (len(time), len(node_values)),
             )
-            return np.split(interpolation_matrix @ node_values, column_splits, axis=1)
+            return np.split(interpolation_matrix @ node_values, quantity_column_splits, axis=1)
 
         n_instants, exact_number_by_name = instants or INSTANTS_PER_PERIOD, {}
         period_fractions = np.arange(n_instants) / n_instants
-        row_products, row_gaps, row_forces = interpolate_at(period_fractions)
+        row_products, gaps_at_instants, contact_forces_at_instants = interpolate_at(
+            period_fractions
+        )
         if instants is None:
             track, exact_number_by_name = self.motion.track, dict(self.friction_number_by_name)
-            exact_number_by_name |= {"closed_share": track.closed_share} if row_gaps.size else {}
-        yield Record(
+            exact_number_by_name |= (
+                {"closed_share": track.closed_share} if gaps_at_instants.size else {}
+            )
+        yield MotionRecord(
             self.omega, self.subharmonic, self.period * period_fractions,
             fourier_coefficients(row_products, OBSERVED_HARMONICS),
-            row_products, row_gaps, row_forces,
+            row_products, gaps_at_instants, contact_forces_at_instants,
             structure=self.structure,
             friction_coefficient=getattr(self.flow.friction_law, "coefficient", None),
             evaluate_at_period_fractions=interpolate_at,
@@ -355,19 +371,27 @@ class PeriodicOrbit(ObservedMotion, Described):
         gauss_samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[
             0
         ]
-        row_gaps, row_forces, n_modes = gauss_samples.gaps, gauss_samples.forces, self.flow.n_modes
-        node_values = np.hstack([row_gaps, row_forces, gauss_samples.states[:, :n_modes]])
-        column_splits = np.cumsum([row_gaps.shape[1], row_forces.shape[1]])
+        gaps_at_gauss_nodes, contact_forces_at_gauss_nodes, n_modes = (
+            gauss_samples.gaps,
+            gauss_samples.forces,
+            self.flow.n_modes,
+        )
+        node_values = np.hstack(
+            [gaps_at_gauss_nodes, contact_forces_at_gauss_nodes, gauss_samples.states[:, :n_modes]]
+        )
+        quantity_column_splits = np.cumsum(
+            [gaps_at_gauss_nodes.shape[1], contact_forces_at_gauss_nodes.shape[1]]
+        )
         stacked_coefficients = self._integrate_coefficients(node_values, harmonics)
         gap_coefficients, force_coefficients, modal_coefficients = np.split(
-            stacked_coefficients, column_splits, axis=1
+            stacked_coefficients, quantity_column_splits, axis=1
         )
         load_orders = np.arange(1, len(self.flow.modal_load) + 1) // 2
-        load_row_indices = np.arange(len(self.flow.modal_load)) + 2 * load_orders * (
+        load_coefficient_indices = np.arange(len(self.flow.modal_load)) + 2 * load_orders * (
             self.subharmonic - 1
         )
         load_selection_matrix = np.equal.outer(
-            np.arange(len(stacked_coefficients)), load_row_indices
+            np.arange(len(stacked_coefficients)), load_coefficient_indices
         ).astype(float)
         displacement_coefficients = self.flow.combine_displacement(
             modal_coefficients, force_coefficients, load_selection_matrix
@@ -431,8 +455,10 @@ class PeriodicOrbit(ObservedMotion, Described):
         """
         if not self._gauss_sample_cache or self._gauss_sample_cache[-1][0] < max_wave_omega:
             track, flow = self.motion.track, self.flow
-            has_contact = track.sets.any(axis=1)
-            rate_bounds = np.where(has_contact, flow.rate_bound, flow.open_rate_bound)
+            interval_has_closed_pair = track.sets.any(axis=1)
+            rate_bounds = np.where(
+                interval_has_closed_pair, flow.mode_rate_bound, flow.open_mode_rate_bound
+            )
             interval_rotation_angles = track.lengths * (rate_bounds + max_wave_omega)
             interval_piece_counts = np.maximum(
                 np.ceil(interval_rotation_angles / kernel.MAX_PIECE_ANGLE), 1
@@ -456,7 +482,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         return []
 
     @cached_property
-    def work(self) -> Work:
+    def work_of_load_and_losses(self) -> MechanicalWork:
         """Return the work of load, damping and friction in the period [J].
 
         Gauss quadrature is exact to rounding. Rates come from the polynomials through the nodes.
@@ -499,7 +525,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         load_work = float(
             work_of_columns(load_basis, gauss_samples.row_products(flow.structure.force)).sum()
         )
-        return Work(load_work, damping_work, pair_friction_work)
+        return MechanicalWork(load_work, damping_work, pair_friction_work)
 
     @cached_property
     def friction_number_by_name(self) -> dict[str, float]:
@@ -512,13 +538,13 @@ class PeriodicOrbit(ObservedMotion, Described):
             return {}
         track = self.motion.track
         return {
-            "friction_loss": float(self.work.friction.sum()),
-            "stick_share": track.mean_time_share(track.sets == kernel.STICK),
-            "slip_share": track.mean_time_share(track.sets > kernel.STICK),
+            "friction_loss": float(self.work_of_load_and_losses.friction.sum()),
+            "stick_share": track.mean_time_share_of_pairs(track.sets == kernel.STICK),
+            "slip_share": track.mean_time_share_of_pairs(track.sets > kernel.STICK),
         }
 
     @property
-    def stuck(self) -> np.ndarray:
+    def always_stuck_pair_indices(self) -> np.ndarray:
         """Return the indices (k,) of pairs that always stick; none without friction.
 
         These pairs' slider positions follow from earlier motion, not from the orbit. The
@@ -538,11 +564,11 @@ class PeriodicOrbit(ObservedMotion, Described):
         The numbers are the largest multiplier's modulus, opening and penetration [m] (0 without
         pairs), the relative residual, and the numbers of events and Newton iterations.
         """
-        face_number_by_name = {"opening": 0.0, "penetration": 0.0} | self.face_indicators
+        face_indicator_by_name = {"opening": 0.0, "penetration": 0.0} | self.face_indicators
         return {
             "multiplier": float(abs(self.multipliers[0])),
-            "opening": face_number_by_name["opening"],
-            "penetration": face_number_by_name["penetration"],
+            "opening": face_indicator_by_name["opening"],
+            "penetration": face_indicator_by_name["penetration"],
             "events": self.n_events,
             "residual": float(self.residual),
             "iterations": self.iterations,
@@ -558,7 +584,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         )
 
 
-class Work(NamedTuple):
+class MechanicalWork(NamedTuple):
     """Work in a period.
 
     Attributes
@@ -590,12 +616,14 @@ def gauss_legendre_rule() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     legendre_nodes, gauss_weights = np.polynomial.legendre.leggauss(2 * kernel.MAX_PIECE_ANGLE)
     polynomials_at_nodes = np.polynomial.legendre.legvander(legendre_nodes, len(legendre_nodes) - 1)
-    derivative_coefficients = np.polynomial.legendre.legder(np.eye(len(legendre_nodes)))
-    derivatives_at_nodes = np.polynomial.legendre.legval(legendre_nodes, derivative_coefficients).T
+    legendre_derivative_coefficients = np.polynomial.legendre.legder(np.eye(len(legendre_nodes)))
+    legendre_derivatives_at_nodes = np.polynomial.legendre.legval(
+        legendre_nodes, legendre_derivative_coefficients
+    ).T
     return (
         legendre_nodes,
         gauss_weights,
-        np.linalg.solve(polynomials_at_nodes.T, derivatives_at_nodes.T).T,
+        np.linalg.solve(polynomials_at_nodes.T, legendre_derivatives_at_nodes.T).T,
     )
 
 
@@ -618,25 +646,27 @@ class RealFourierCoefficients(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class MotionInEqualParts(PeriodicOrbit):
+class ApproximateOrbitInEqualParts(PeriodicOrbit):
     """Approximate orbit: exact motions over equal parts of a period.
 
     The state may jump from part to part. The interface is the orbit's.
 
     Attributes
     ----------
-    starts : (n, flow.state_size)
+    part_start_states : (n, flow.state_size)
         States at the starts of the parts.
     """
 
-    starts: np.ndarray
+    part_start_states: np.ndarray
 
     def samples(self, time: np.ndarray) -> Samples:
         """Return the motion at ascending times [s] between 0 and the period."""
-        part_duration = self.period / len(self.starts)
-        start_times = part_duration * np.arange(len(self.starts) + 1)
+        part_duration = self.period / len(self.part_start_states)
+        start_times = part_duration * np.arange(len(self.part_start_states) + 1)
         times_by_part = np.split(time, np.searchsorted(time, start_times[1:-1]))
-        part_argument_tuples = zip(self.starts, start_times.tolist(), times_by_part, strict=False)
+        part_argument_tuples = zip(
+            self.part_start_states, start_times.tolist(), times_by_part, strict=False
+        )
         part_samples = [
             self.flow.advance(
                 state, self.omega, part_duration, start=start_time, instants=instants
@@ -679,7 +709,10 @@ def is_orbit_search_affordable(
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         return not is_load_too_slow(flow, omega, subharmonic)
     pieces_per_period = flow.estimate_taylor_pieces(2.0 * np.pi * subharmonic / omega)
-    return flow.structure.light_lips and n_periods * pieces_per_period <= MAX_SEARCH_PIECES
+    return (
+        flow.structure.has_massless_crack_faces
+        and n_periods * pieces_per_period <= MAX_ORBIT_SEARCH_TAYLOR_PIECES
+    )
 
 
 def is_load_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
@@ -694,9 +727,9 @@ def is_load_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> b
     )
 
 
-def predict_orbit(
+def predict_orbit_by_newton_step(
     flow: ContactFlow, omega: float, states: np.ndarray, subharmonic: int = 1
-) -> Prediction | None:
+) -> OrbitPrediction | None:
     """Take a Newton step towards an orbit, for n instants together.
 
     Parameters
@@ -717,39 +750,45 @@ def predict_orbit(
     energy_weights = flow.energy_weights(omega / subharmonic)
     try:
         period = 2.0 * np.pi * subharmonic / omega
-        end_states, solution_track, interval_counts = flow.integrate_parts(states, omega, period)
-        state_jumps = end_states - np.concatenate([states[1:], states[:1]])
-        period_end_change = solution_track.carry_changes(
-            np.zeros(flow.state_size), state_jumps, interval_counts
+        part_end_states, contact_track_of_solution, cumulative_interval_counts = (
+            flow.integrate_equal_parts_of_period(states, omega, period)
+        )
+        state_jumps_between_parts = part_end_states - np.concatenate([states[1:], states[:1]])
+        period_end_change = contact_track_of_solution.carry_changes(
+            np.zeros(flow.state_size), state_jumps_between_parts, cumulative_interval_counts
         )[-1]
-        solve_i_minus_m = _make_i_minus_m_solver(flow, solution_track, energy_weights)
-        state_changes = solution_track.carry_changes(
-            solve_i_minus_m(period_end_change, FORCING_TERM), state_jumps, interval_counts
+        solve_i_minus_m = _make_i_minus_m_solver(flow, contact_track_of_solution, energy_weights)
+        state_changes = contact_track_of_solution.carry_changes(
+            solve_i_minus_m(period_end_change, FORCING_TERM),
+            state_jumps_between_parts,
+            cumulative_interval_counts,
         )[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
     part_start_gaps = states[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
-    gap_changes = state_changes[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
-    return Prediction(
-        change_relative_to_motion(gap_changes, part_start_gaps),
+    part_start_gap_changes = state_changes[:, : flow.n_modes] @ flow.modal_model.gaps_by_mode
+    return OrbitPrediction(
+        change_relative_to_motion(part_start_gap_changes, part_start_gaps),
         states + state_changes,
-        solution_track,
+        contact_track_of_solution,
         solve_i_minus_m,
     )
 
 
 def predict_motion(
-    flow: ContactFlow, omega: float, prediction: Prediction, subharmonic: int
-) -> MotionInEqualParts | None:
+    flow: ContactFlow, omega: float, prediction: OrbitPrediction, subharmonic: int
+) -> ApproximateOrbitInEqualParts | None:
     """Integrate the motion from a prediction's states; None if integration fails.
 
     Each state starts a motion over a part of the period, so the state jumps between the parts.
     """
     with suppress(ConvergenceError):
         period = 2.0 * np.pi * subharmonic / omega
-        end_states, track, _ = flow.integrate_parts(prediction.states, omega, period)
-        motion = flow.advance(end_states[-1], omega, 0.0)._replace(track=track)
-        return MotionInEqualParts(
+        part_end_states, track, _ = flow.integrate_equal_parts_of_period(
+            prediction.states, omega, period
+        )
+        motion = flow.advance(part_end_states[-1], omega, 0.0)._replace(track=track)
+        return ApproximateOrbitInEqualParts(
             flow, omega, subharmonic, motion, prediction.states[0], 1, prediction.states
         )
     return None
@@ -770,7 +809,7 @@ def _make_i_minus_m_solver(
         )
         if not (np.isfinite(i_minus_m_factors[0]).all() and np.diag(i_minus_m_factors[0]).all()):
             raise np.linalg.LinAlgError("I - M is singular, as at a bifurcation or without damping")
-        return lambda right_side, tolerance: solve_by_transpose_factors(
+        return lambda right_side, tolerance: solve_by_factors_of_transpose(
             i_minus_m_factors, right_side
         )
 
@@ -867,7 +906,7 @@ class _NewtonOrbitSearch:
     ) -> None:
         self._flow, self._omega = flow, omega
         self._period = 2.0 * np.pi * subharmonic / omega
-        allowed_taylor_pieces = MAX_SEARCH_PIECES
+        allowed_taylor_pieces = MAX_ORBIT_SEARCH_TAYLOR_PIECES
         if flow.n_modes <= MAX_MODES_FOR_MONODROMY and not is_load_too_slow(
             flow, omega, subharmonic
         ):
@@ -921,22 +960,24 @@ class _NewtonOrbitSearch:
                 ]
             newton_step = newton_steps_with_same_m[-1]
             trial_state = self.state + damping_factor * newton_step
-            trial_motion = self._integrate_period(trial_state)
+            trial_period_motion = self._integrate_period(trial_state)
             simplified_step = solve_i_minus_m(
-                trial_motion.state - trial_state, COMPARED_STEP_GMRES_TOLERANCE
+                trial_period_motion.state - trial_state, COMPARED_STEP_GMRES_TOLERANCE
             )
-            for earlier_step, later_step in pairwise(newton_steps_with_same_m):
-                projection_factor = self._fraction_along(simplified_step, earlier_step)
-                simplified_step = simplified_step + projection_factor * later_step
+            for broyden_step, next_broyden_step in pairwise(newton_steps_with_same_m):
+                broyden_update_factor = self._fraction_along(simplified_step, broyden_step)
+                simplified_step = simplified_step + broyden_update_factor * next_broyden_step
             step_size = self.energy_norm(newton_step)
             simplified_size = self.energy_norm(simplified_step)
             nonlinear_part_size = (
                 self.energy_norm(simplified_step - (1.0 - damping_factor) * newton_step)
                 + sys.float_info.min
             )
-            state_size = self.energy_norm(trial_state)
+            trial_state_norm = self.energy_norm(trial_state)
             if not simplified_size <= (1.0 - 0.25 * damping_factor) * step_size:
-                if step_size <= MULTIPLIER_TOLERANCE * state_size:  # steps are rounding errors
+                if (
+                    step_size <= MULTIPLIER_TOLERANCE * trial_state_norm
+                ):  # steps are rounding errors
                     return True
                 if not is_m_current:
                     newton_steps_with_same_m = []
@@ -947,8 +988,8 @@ class _NewtonOrbitSearch:
                 if damping_factor < min_damping_factor:
                     return False
                 continue
-            self.state, self.motion, is_m_current = trial_state, trial_motion, False
-            if simplified_size <= step_tolerance * state_size:
+            self.state, self.motion, is_m_current = trial_state, trial_period_motion, False
+            if simplified_size <= step_tolerance * trial_state_norm:
                 return True
             # After a good step M serves once more.
             if forms_monodromy and damping_factor == 1.0 and simplified_size <= 0.1 * step_size:
@@ -974,7 +1015,7 @@ class _NewtonOrbitSearch:
         return motion
 
 
-def orbit_through_state(
+def orbit_from_converged_state(
     flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int, iterations: int = 0
 ) -> PeriodicOrbit:
     """Return the orbit through a state (flow.state_size,) at phase zero, without a search.

@@ -1,11 +1,12 @@
 """Search for a periodic orbit: a ladder of starts, and a budget.
 
-The search climbs :data:`ORBIT_STARTS_BY_NAME` until a :class:`StartStrategy` leads to an orbit:
+The search climbs :data:`ORBIT_START_STRATEGY_BY_NAME` until a :class:`StartStrategy` leads to an
+orbit:
 
 1. Newton's method (:mod:`orbit`) from guesses, the motions of harmonic-balance solutions with few
    harmonics. Nearly all guesses lead to an orbit.
 2. Newton's method from the state after one Newton step for 32 instants together
-   (:func:`fenics_crack.motion.orbit.predict_orbit`).
+   (:func:`fenics_crack.motion.orbit.predict_orbit_by_newton_step`).
 3. The end of a path (homotopy) through folds, with the guess a:
 
        p (z(T) - a) - (z - a) = 0,    from z = a at p = 0 to an orbit at p = 1.
@@ -43,7 +44,7 @@ from fenics_crack.motion.orbit import (
     PeriodicOrbit,
     find_orbit,
     is_same_orbit_in_phase,
-    predict_orbit,
+    predict_orbit_by_newton_step,
 )
 from fenics_crack.motion.shooting import FlowOrbitEquations, OrbitPoint
 from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL, DenseLinearisation
@@ -53,7 +54,7 @@ from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, Path, Target
 
 SEGMENTS_PER_PERIOD = 32
 """Number of equal parts of the period in multiple shooting."""
-SEGMENT_START_SLICE = slice(None, None, INSTANTS_PER_PERIOD // SEGMENTS_PER_PERIOD)
+SLICE_OF_SAMPLES_AT_SEGMENT_STARTS = slice(None, None, INSTANTS_PER_PERIOD // SEGMENTS_PER_PERIOD)
 """Every 16th sample among an orbit's 512: the starts of 32 equal parts of the period."""
 MIN_PIECES_CHARGED_PER_PERIOD = 200
 """Minimum number of Taylor pieces that a search's budget counts for a period."""
@@ -160,7 +161,7 @@ def search_orbit(
         Continue after an unstable orbit. A stable orbit then comes first. No effect with more than
         120 modes.
     start_strategies : iterable of StartStrategy
-        Starts to try in order, from :data:`ORBIT_STARTS_BY_NAME`. Default: all.
+        Starts to try in order, from :data:`ORBIT_START_STRATEGY_BY_NAME`. Default: all.
 
     Returns
     -------
@@ -168,14 +169,14 @@ def search_orbit(
         Without an orbit if all starts fail.
     """
     prefer_stable = prefer_stable and flow.n_modes <= MAX_MODES_FOR_MONODROMY
-    search_task = _SearchTask(flow, omega, state_guesses, subharmonic, prefer_stable)
-    for start_strategy in start_strategies or ORBIT_STARTS_BY_NAME.values():
+    orbit_search_task = _SearchTask(flow, omega, state_guesses, subharmonic, prefer_stable)
+    for start_strategy in start_strategies or ORBIT_START_STRATEGY_BY_NAME.values():
         begin_stage(start_strategy.name)
-        if orbits_from_start := [*start_strategy.generate_candidates(search_task)]:
+        if orbits_from_strategy := [*start_strategy.generate_candidates(orbit_search_task)]:
             return OrbitSearchResult(
-                orbits_from_start[0], tuple(orbits_from_start[1:]), start_strategy.name
+                orbits_from_strategy[0], tuple(orbits_from_strategy[1:]), start_strategy.name
             )
-    return OrbitSearchResult(None, (), "; ".join(search_task.failure_reasons[-2:]))
+    return OrbitSearchResult(None, (), "; ".join(orbit_search_task.failure_reasons[-2:]))
 
 
 @dataclass(frozen=True)
@@ -256,7 +257,9 @@ def _find_orbit_after_multiple_shooting_step(search_task: _SearchTask) -> Iterab
     before are tried in order. The result has the first orbit, or is empty.
     """
     prediction_iterator = (
-        predict_orbit(search_task.flow, search_task.omega, guessed_states, search_task.subharmonic)
+        predict_orbit_by_newton_step(
+            search_task.flow, search_task.omega, guessed_states, search_task.subharmonic
+        )
         for guessed_states in search_task.tried_states
     )
     orbit_or_none_iterator = (
@@ -293,7 +296,7 @@ def series_states_at_period_parts(
 
 
 class _HomotopyPoint(DenseLinearisation):
-    """Residual and Jacobian of :class:`Homotopy` at unknowns x and a parameter p.
+    """Residual and Jacobian of :class:`GuessToOrbitHomotopy` at unknowns x and a parameter p.
 
     ``start_unknown`` is the guess, in the unknowns x.
     """
@@ -329,7 +332,7 @@ class _HomotopyPoint(DenseLinearisation):
         return self._end_state_minus_guess
 
 
-class Homotopy:
+class GuessToOrbitHomotopy:
     """Equations of a path from a guess a to an orbit.
 
         p (z(T) - a) - (z - a) = 0
@@ -341,13 +344,13 @@ class Homotopy:
 
     Attributes
     ----------
-    remaining_pieces : int
+    remaining_taylor_pieces : int
         Taylor pieces left for the path; a period counts for at least 200.
     """
 
     def __init__(self, orbit_equations: FlowOrbitEquations, taylor_piece_budget: int) -> None:
         self._orbit_equations, self.shape = orbit_equations, orbit_equations.shape
-        self.remaining_pieces = taylor_piece_budget
+        self.remaining_taylor_pieces = taylor_piece_budget
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
         """Return the equations at a scaled state and a parameter p.
@@ -357,26 +360,30 @@ class Homotopy:
         ConvergenceError
             No pieces are left, or the motion cannot be integrated.
         """
-        if self.remaining_pieces <= 0:
+        if self.remaining_taylor_pieces <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
         orbit_point = self._orbit_equations.linearise(unknown, 1.0)
-        self.remaining_pieces -= max(orbit_point.n_taylor_pieces, MIN_PIECES_CHARGED_PER_PERIOD)
+        self.remaining_taylor_pieces -= max(
+            orbit_point.n_taylor_pieces, MIN_PIECES_CHARGED_PER_PERIOD
+        )
         return _HomotopyPoint(orbit_point, parameter, self._orbit_equations.start_unknown)
 
 
 def _find_orbit_along_path(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
-    """Follow the path of :class:`Homotopy` from the last guess to an orbit.
+    """Follow the path of :class:`GuessToOrbitHomotopy` from the last guess to an orbit.
 
     Nothing is yielded without a guess, with more than 120 modes, or if the path does not arrive.
     """
     if not search_task.tried_states or search_task.flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return
     orbit_equations = search_task.orbit_equations
-    homotopy = Homotopy(orbit_equations, SearchOptions.piece_budget(search_task.flow) // 2)
+    homotopy = GuessToOrbitHomotopy(
+        orbit_equations, SearchOptions.piece_budget(search_task.flow) // 2
+    )
     path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.allowed_pieces)
     with suppress(ConvergenceError, np.linalg.LinAlgError):
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
-        solution_point = solve_in_plane(
+        guess_orbit_point = solve_in_plane(
             orbit_equations,
             orbit_equations.start_unknown,
             1.0,
@@ -384,13 +391,13 @@ def _find_orbit_along_path(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
             tolerance=MAX_LOCATION_RESIDUAL,
             max_iterations=1,
         )
-        if solution_point is not None:
-            yield orbit_equations.orbit(solution_point)
+        if guess_orbit_point is not None:
+            yield orbit_equations.orbit(guess_orbit_point)
             return
         start_point = point_on_path(homotopy, orbit_equations.start_unknown, 0.0)
         end_point = Path(
             homotopy, start_point, path_options, [Target(1.0)]
-        ).find_terminal_point_or_none()
+        ).find_terminal_event_point_or_none()
         if end_point is not None:
             yield from filter(
                 None, [search_task.find_orbit(orbit_equations.state(end_point.unknown))]
@@ -408,7 +415,7 @@ def _find_orbit_along_motion(search_task: _SearchTask) -> Iterator[PeriodicOrbit
     if they fail.
     """
     orbit_equations = search_task.orbit_equations
-    remaining_pieces = SearchOptions.piece_budget(search_task.flow) // 4
+    remaining_taylor_pieces = SearchOptions.piece_budget(search_task.flow) // 4
     state_iterator = yield_states_after_periods(
         orbit_equations, orbit_equations.start_unknown, SearchOptions.max_periods(search_task.flow)
     )
@@ -419,7 +426,7 @@ def _find_orbit_along_motion(search_task: _SearchTask) -> Iterator[PeriodicOrbit
     distances_after_period = np.linalg.norm(np.diff(states_at_periods, axis=0), axis=1)
     # Start from the last state, then from the close returns, the closest first.
     for state_index in (-1, *np.argsort(distances_after_period, kind="stable").tolist()):
-        if remaining_pieces <= 0:
+        if remaining_taylor_pieces <= 0:
             return
         start_state = orbit_equations.state(states_at_periods[state_index])
         orbit = find_orbit(
@@ -429,14 +436,14 @@ def _find_orbit_along_motion(search_task: _SearchTask) -> Iterator[PeriodicOrbit
             yield orbit
             return
         # A failed search takes about half of its maximum.
-        remaining_pieces -= (
+        remaining_taylor_pieces -= (
             MAX_SEARCH_PERIODS
             // 2
             * max(MIN_PIECES_CHARGED_PER_PERIOD, orbit_equations.n_taylor_pieces_in_last_period)
         )
 
 
-ORBIT_STARTS_BY_NAME = {
+ORBIT_START_STRATEGY_BY_NAME = {
     "guesses": StartStrategy("exact orbit by Newton's method", _find_orbits_from_guesses),
     "steps": StartStrategy(
         "exact orbit by multiple shooting", _find_orbit_after_multiple_shooting_step
@@ -458,13 +465,13 @@ def yield_states_after_periods(
     fails. The motion also ends after 200 ``max_periods`` Taylor pieces, intervals with a single
     Taylor series.
     """
-    remaining_pieces = MIN_PIECES_CHARGED_PER_PERIOD * max_periods
+    remaining_taylor_pieces = MIN_PIECES_CHARGED_PER_PERIOD * max_periods
     with suppress(ConvergenceError):  # pairs may chatter without end
         for _ in range(max_periods):
-            if remaining_pieces <= 0:
+            if remaining_taylor_pieces <= 0:
                 return
             scaled_state = orbit_equations.unknown_after_period(scaled_state, 1.0)
-            remaining_pieces -= orbit_equations.n_taylor_pieces_in_last_period
+            remaining_taylor_pieces -= orbit_equations.n_taylor_pieces_in_last_period
             yield scaled_state
 
 
@@ -482,21 +489,21 @@ def describe_closest_return(
     motion_name : str
         Subject of the sentence, such as "it".
     """
-    closest_relative_distances = []
-    for n_return_periods in range(1, min(MAX_RETURN_PERIODS, len(states_at_periods) - 1) + 1):
-        state_sizes = np.linalg.norm(states_at_periods[n_return_periods:], axis=1)
+    closest_relative_distance_of_lags = []
+    for n_lag_periods in range(1, min(MAX_RETURN_PERIODS, len(states_at_periods) - 1) + 1):
+        state_sizes = np.linalg.norm(states_at_periods[n_lag_periods:], axis=1)
         return_distances = np.linalg.norm(
-            states_at_periods[n_return_periods:] - states_at_periods[:-n_return_periods], axis=1
+            states_at_periods[n_lag_periods:] - states_at_periods[:-n_lag_periods], axis=1
         )
-        closest_relative_distances.append(
+        closest_relative_distance_of_lags.append(
             float(np.min(return_distances / np.maximum(state_sizes, 1e-300)))
         )
-    if not closest_relative_distances:
+    if not closest_relative_distance_of_lags:
         return f"{motion_name} cannot be integrated over a period: {FEWER_EVENTS_ADVICE}"
-    closest_return_index = int(np.argmin(closest_relative_distances))
+    closest_lag_index = int(np.argmin(closest_relative_distance_of_lags))
     followed_periods_text = format_count((len(states_at_periods) - 1) * subharmonic, "period")
-    return_periods_text = format_count((closest_return_index + 1) * subharmonic, "period")
-    closeness_text = format_percent(closest_relative_distances[closest_return_index])
+    return_periods_text = format_count((closest_lag_index + 1) * subharmonic, "period")
+    closeness_text = format_percent(closest_relative_distance_of_lags[closest_lag_index])
     return (
         f"after {followed_periods_text} of the load {motion_name} is not periodic: it comes back to"
         f" within {closeness_text} of an earlier state at best, after {return_periods_text}"

@@ -25,7 +25,7 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer
 from fenics_crack.motion.flow import FEWER_EVENTS_ADVICE, Budget, ContactFlow
-from fenics_crack.motion.orbit import PeriodicOrbit, orbit_through_state
+from fenics_crack.motion.orbit import PeriodicOrbit, orbit_from_converged_state
 from fenics_crack.numerics.equations import DenseLinearisation, Equations
 from fenics_crack.numerics.newton import PathPoint
 
@@ -248,4 +248,6 @@ class FlowOrbitEquations(ShootingEquations):
     def orbit(self, point: PathPoint) -> PeriodicOrbit:
         """Return the orbit at a solution: unknowns x, parameter p (load frequency p w_0)."""
         omega, state = point.parameter * self.omega, self.state(point.unknown)
-        return orbit_through_state(self.flow, omega, state, self.subharmonic, point.iterations)
+        return orbit_from_converged_state(
+            self.flow, omega, state, self.subharmonic, point.iterations
+        )

@@ -141,7 +141,7 @@ class DenseLinearisation(Linearisation):
         return factorise_transpose(self.matrix_to_factorise())
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
-        return solve_by_transpose_factors(self._factors, right_side)
+        return solve_by_factors_of_transpose(self._factors, right_side)
 
     @property
     def sign(self) -> float:
@@ -167,7 +167,7 @@ def factorise_transpose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return lu_matrix, pivots
 
 
-def solve_by_transpose_factors(
+def solve_by_factors_of_transpose(
     factors: tuple[np.ndarray, np.ndarray], right_side: np.ndarray
 ) -> np.ndarray:
     """Solve A x = r with the factors from :func:`factorise_transpose`; x has the shape of r."""
@@ -350,8 +350,8 @@ def _by_parameter(state: _PythonCallbackState, derivative_out: Any) -> None:
 @_python_callback(None)
 def _record(state: _PythonCallbackState, record_out: Any) -> None:
     """Write the current point's :attr:`Linearisation.record` to ``record_out``."""
-    record = state.linearisation.record.ravel()
-    np.frombuffer(ffi.buffer(record_out, record.nbytes))[:] = record
+    step_control_record = state.linearisation.record.ravel()
+    np.frombuffer(ffi.buffer(record_out, step_control_record.nbytes))[:] = step_control_record
 
 
 @_python_callback(np.nan)

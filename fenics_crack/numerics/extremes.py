@@ -25,9 +25,9 @@ SAMPLE_OFFSETS = np.linspace(-1.0, 1.0, 9)
 MAX_GRID_REFINEMENTS = 10
 """Maximum number of grid refinements. Each divides the spacing by four: 256 samples per period end
 at 4e-9 periods. The square of 4e-9 is rounding error, for up to 100 harmonics."""
-OFFSET_EXPONENTS = np.arange(len(SAMPLE_OFFSETS))
+POLYNOMIAL_EXPONENTS = np.arange(len(SAMPLE_OFFSETS))
 """Exponents 0 to 8 of the polynomial through nine values."""
-COEFFICIENTS_FROM_VALUES = np.linalg.inv(SAMPLE_OFFSETS[:, None] ** OFFSET_EXPONENTS)
+COEFFICIENTS_FROM_VALUES = np.linalg.inv(SAMPLE_OFFSETS[:, None] ** POLYNOMIAL_EXPONENTS)
 """Matrix from nine values at ``SAMPLE_OFFSETS`` to the coefficients of their polynomial."""
 MAX_POLYNOMIAL_ERROR = 1e-6
 """Maximum error of a maximum predicted by a polynomial, relative to the range of the nine values.
@@ -59,37 +59,38 @@ def find_maximum_values(
     for refinement_index in range(MAX_GRID_REFINEMENTS):
         if evaluate_functions is None or not len(period_fractions):
             break
-        candidate_indices = np.arange(len(period_fractions))
+        candidate_peak_indices = np.arange(len(period_fractions))
         nearby_fractions = period_fractions[:, None] + sample_spacing * SAMPLE_OFFSETS
         nearby_values = evaluate_functions(nearby_fractions.ravel())
         nearby_values = nearby_values.reshape(*nearby_fractions.shape, -1)[
-            candidate_indices, :, function_indices
+            candidate_peak_indices, :, function_indices
         ]
         largest_nearby_indices = nearby_values.argmax(axis=1)
         np.maximum.at(
             function_maxima,
             function_indices,
-            nearby_values[candidate_indices, largest_nearby_indices],
+            nearby_values[candidate_peak_indices, largest_nearby_indices],
         )
         if refinement_index == 0:
             peak_offsets, peak_estimates = _maximise_polynomial(
                 nearby_values, SAMPLE_OFFSETS[largest_nearby_indices]
             )
             peak_values = evaluate_functions(period_fractions + sample_spacing * peak_offsets)[
-                candidate_indices, function_indices
+                candidate_peak_indices, function_indices
             ]
             np.maximum.at(function_maxima, function_indices, peak_values)
             allowed_error = MAX_POLYNOMIAL_ERROR * np.ptp(nearby_values, axis=1)
-            is_polynomial = np.abs(peak_values - peak_estimates) <= allowed_error
+            is_polynomial_accurate = np.abs(peak_values - peak_estimates) <= allowed_error
             is_equal_to_largest = (
-                nearby_values == nearby_values[candidate_indices, largest_nearby_indices][:, None]
+                nearby_values
+                == nearby_values[candidate_peak_indices, largest_nearby_indices][:, None]
             )
             is_plateau = is_equal_to_largest.sum(axis=1) > 2  # a gap closed without penetration
-            candidate_indices = np.flatnonzero(~(is_polynomial | is_plateau))
+            candidate_peak_indices = np.flatnonzero(~(is_polynomial_accurate | is_plateau))
         period_fractions = nearby_fractions[
-            candidate_indices, largest_nearby_indices[candidate_indices]
+            candidate_peak_indices, largest_nearby_indices[candidate_peak_indices]
         ]
-        function_indices = function_indices[candidate_indices]
+        function_indices = function_indices[candidate_peak_indices]
         sample_spacing *= SAMPLE_OFFSETS[1] - SAMPLE_OFFSETS[0]
     return function_maxima
 
@@ -115,10 +116,10 @@ def _maximise_polynomial(
     """
     coefficients = nine_values @ COEFFICIENTS_FROM_VALUES.T
     offset_in_half_windows = start_offset_in_half_windows
-    slope_coefficients = coefficients[:, 1:] * OFFSET_EXPONENTS[1:]
-    curvature_coefficients = slope_coefficients[:, 1:] * OFFSET_EXPONENTS[1:-1]
+    slope_coefficients = coefficients[:, 1:] * POLYNOMIAL_EXPONENTS[1:]
+    curvature_coefficients = slope_coefficients[:, 1:] * POLYNOMIAL_EXPONENTS[1:-1]
     for _ in range(3):
-        offset_powers = offset_in_half_windows[:, None] ** OFFSET_EXPONENTS
+        offset_powers = offset_in_half_windows[:, None] ** POLYNOMIAL_EXPONENTS
         slopes = (slope_coefficients * offset_powers[:, :-1]).sum(1)
         curvatures = (curvature_coefficients * offset_powers[:, :-2]).sum(1)
         offset_in_half_windows = offset_in_half_windows - slopes / np.where(
@@ -126,5 +127,5 @@ def _maximise_polynomial(
         )
         offset_in_half_windows = np.minimum(np.maximum(offset_in_half_windows, -1.0), 1.0)
     return offset_in_half_windows, (
-        coefficients * offset_in_half_windows[:, None] ** OFFSET_EXPONENTS
+        coefficients * offset_in_half_windows[:, None] ** POLYNOMIAL_EXPONENTS
     ).sum(1)

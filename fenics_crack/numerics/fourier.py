@@ -83,13 +83,15 @@ def fourier_basis_for(coefficients: np.ndarray, phases: np.ndarray) -> np.ndarra
     exponential_powers = np.ones((n_harmonics + 1, *phases.shape), dtype=complex)
     if n_harmonics:
         exponential_powers[1] = np.exp(1j * phases)
-    n_powers = 1
-    while n_powers < n_harmonics:  # exp(i k theta): a fifth of the time of sines and cosines
-        n_new_powers = min(n_powers, n_harmonics - n_powers)
-        exponential_powers[n_powers + 1 : n_powers + 1 + n_new_powers] = (
-            exponential_powers[1 : 1 + n_new_powers] * exponential_powers[n_powers]
+    n_computed_powers = 1
+    while (
+        n_computed_powers < n_harmonics
+    ):  # exp(i k theta): a fifth of the time of sines and cosines
+        n_new_powers = min(n_computed_powers, n_harmonics - n_computed_powers)
+        exponential_powers[n_computed_powers + 1 : n_computed_powers + 1 + n_new_powers] = (
+            exponential_powers[1 : 1 + n_new_powers] * exponential_powers[n_computed_powers]
         )
-        n_powers += n_new_powers
+        n_computed_powers += n_new_powers
     basis_values = np.empty((len(coefficients), *phases.shape))
     basis_values[0], basis_values[1::2], basis_values[2::2] = (
         1.0,
@@ -176,9 +178,9 @@ def fourier_basis_over_period(harmonics: int, n_instants: int) -> np.ndarray:
     (n_instants, 2H+1)
         Columns 1, cos, sin, ... up to H = ``harmonics``. Read-only: all callers share the array.
     """
-    instants, orders = np.arange(n_instants), np.arange(1, harmonics + 1)
-    roots_of_unity = np.exp(2j * np.pi / n_instants * instants)
-    exponentials = roots_of_unity[np.outer(instants, orders) % n_instants]
+    instant_indices, orders = np.arange(n_instants), np.arange(1, harmonics + 1)
+    roots_of_unity = np.exp(2j * np.pi / n_instants * instant_indices)
+    exponentials = roots_of_unity[np.outer(instant_indices, orders) % n_instants]
     basis_values = np.ones((n_instants, 2 * harmonics + 1))
     basis_values[:, 1::2], basis_values[:, 2::2] = exponentials.real, exponentials.imag
     basis_values.flags.writeable = False  # all callers share it

@@ -6,10 +6,9 @@ Single solutions come from SNES, with GMRES if the Jacobian is not formed. PETSc
 prefix ``crack_hb_`` reach SNES, and options with ``crack_krylov_`` reach GMRES. If the kernel has
 the equations, and no SNES option is given, the kernel takes the same steps.
 
-Bordered by a plane
--------------------
-A point of a path has a unit tangent (t_x, t_p) in the norm w |x|^2 + p^2 with w = 1 / |x_0|^2
-(:func:`norm_weights_at`). In the plane orthogonal to the tangent, Newton's method solves
+Bordered by a plane ------------------- A point of a path has a unit tangent (t_x, t_p) in the norm
+w |x|^2 + p^2 with w = 1 / |x_0|^2 (:func:`norm_weights_of_unknowns_and_means`). In the plane
+orthogonal to the tangent, Newton's method solves
 
     [ J    F_p ] [dx]     [F]
     [ t_x  t_p ] [dp] = - [0],     by two solutions with J:
@@ -84,25 +83,25 @@ def gmres(
         """Write the product with A to ``product_vector``; PETSc calls this function."""
         product_vector.array_w[:] = apply(factor_vector.array_r.reshape(right_side.shape)).ravel()
 
-    matrix = PETSc.Mat().createPython(
+    operator_matrix = PETSc.Mat().createPython(
         (right_side.size,) * 2, SimpleNamespace(mult=multiply), COMM_SELF
     )
-    matrix.setUp()
+    operator_matrix.setUp()
     solver = PETSc.KSP().create(COMM_SELF)
     solver.setOptionsPrefix("crack_krylov_")
-    solver.setOperators(matrix)
+    solver.setOperators(operator_matrix)
     solver.setType("gmres")
     solver.setGMRESRestart(GMRES_RESTART)
     solver.getPC().setType("none")
     solver.setTolerances(rtol=tolerance, atol=0.0, max_it=max_iterations)
     solver.setFromOptions()
-    right_side_vector, solution_vector = matrix.createVecs()
+    right_side_vector, solution_vector = operator_matrix.createVecs()
     right_side_vector.array_w[:] = right_side.ravel()
     solver.solve(right_side_vector, solution_vector)
-    solution: np.ndarray = solution_vector.array_r.reshape(right_side.shape).copy()
-    for petsc_object in (solver, matrix, right_side_vector, solution_vector):
+    solution_array: np.ndarray = solution_vector.array_r.reshape(right_side.shape).copy()
+    for petsc_object in (solver, operator_matrix, right_side_vector, solution_vector):
         petsc_object.destroy()
-    return solution
+    return solution_array
 
 
 class SnesSystem(System, Protocol):
@@ -318,7 +317,7 @@ MAX_ITERATIONS = 8
 """Maximum Newton iterations to correct a predicted point of a path."""
 MIN_DAMPING = 0.05
 """Minimum factor by which a Newton step is shortened before the method fails."""
-MAX_FULL_STEPS = 20
+MAX_ITERATIONS_AT_FIXED_PARAMETER = 20
 """Maximum Newton iterations from a guess at a given parameter."""
 MAX_STALLED_STEPS = 8
 """Maximum number of successive Newton steps without halving the residual; after more, the method
@@ -336,7 +335,8 @@ class Tangent:
     x, p
         Parts t_x, in the shape of the unknowns, and t_p.
     unknowns_weight : float
-        Weight w of the unknowns, 1 / |x|^2 at the point (:func:`norm_weights_at`).
+        Weight w of the unknowns, 1 / |x|^2 at the point
+        (:func:`norm_weights_of_unknowns_and_means`).
     time_mean_weight : float
         Factor in |x|^2 for the squares of unknowns that are means over time.
     """
@@ -461,7 +461,7 @@ def change_relative_to_motion(change_samples: np.ndarray, motion_samples: np.nda
     )
 
 
-def norm_weights_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
+def norm_weights_of_unknowns_and_means(system: System, unknown: np.ndarray) -> tuple[float, float]:
     """Return the weights of the norm w |x|^2 + p^2 at a solution x.
 
     In |x| the means over time contribute at most as much as the oscillation. A clearance or a
@@ -500,10 +500,19 @@ def tangent_of(
 
     The tangent points towards growing p or, if given, has a positive cosine to ``direction``.
     """
-    slope = -linearisation.solve(linearisation.by_parameter)
-    slope_tangent = Tangent(slope, 1.0, *norm_weights_at(system, unknown))
-    length = float(np.sqrt(slope_tangent.inner_product(system, slope, slope) + 1.0))
-    tangent = replace(slope_tangent, x=slope / length, p=1.0 / length)
+    unknowns_derivative_by_parameter = -linearisation.solve(linearisation.by_parameter)
+    slope_tangent = Tangent(
+        unknowns_derivative_by_parameter, 1.0, *norm_weights_of_unknowns_and_means(system, unknown)
+    )
+    length = float(
+        np.sqrt(
+            slope_tangent.inner_product(
+                system, unknowns_derivative_by_parameter, unknowns_derivative_by_parameter
+            )
+            + 1.0
+        )
+    )
+    tangent = replace(slope_tangent, x=unknowns_derivative_by_parameter / length, p=1.0 / length)
     points_back = direction is not None and tangent.cosine_to(direction, system) < 0.0
     return tangent.reverse() if points_back else tangent
 
@@ -629,13 +638,13 @@ def predict_and_correct(
     default: 3 ``step_length``.
     """
     tangent = start_point.tangent
-    unknown = start_point.unknown + step_length * tangent.x
-    parameter = start_point.parameter + step_length * tangent.p
+    predicted_unknown = start_point.unknown + step_length * tangent.x
+    predicted_parameter = start_point.parameter + step_length * tangent.p
     max_parameter_change = max_parameter_change or MAX_PARAMETER_CHANGE_IN_STEPS * step_length
     return solve_in_plane(
         system,
-        unknown,
-        parameter,
+        predicted_unknown,
+        predicted_parameter,
         tangent,
         tolerance=tolerance,
         max_parameter_change=max_parameter_change,
@@ -649,11 +658,14 @@ def try_step(
 
     The tangent has a positive cosine to the start's tangent. None if Newton's method fails.
     """
-    point = predict_and_correct(system, start_point, step_length, tolerance)
-    if point is None or point.linearisation is None:
+    corrected_point = predict_and_correct(system, start_point, step_length, tolerance)
+    if corrected_point is None or corrected_point.linearisation is None:
         return None
     return replace(
-        point, tangent=tangent_of(system, point.unknown, point.linearisation, start_point.tangent)
+        corrected_point,
+        tangent=tangent_of(
+            system, corrected_point.unknown, corrected_point.linearisation, start_point.tangent
+        ),
     )
 
 
@@ -663,7 +675,7 @@ def solve_at_parameter(
     parameter: float,
     *,
     tolerance: float,
-    max_iterations: int = MAX_FULL_STEPS,
+    max_iterations: int = MAX_ITERATIONS_AT_FIXED_PARAMETER,
     min_damping: float | None = None,
 ) -> PathPoint | None:
     """Solve F(x, p) = 0 at given p from a guess of x; None if Newton's method fails.

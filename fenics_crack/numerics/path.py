@@ -22,7 +22,7 @@ If J is not formed, det J is unknown. Then
 The steps run in the kernel (``kernel/path.c``), many of them in one call for compiled equations
 (:mod:`equations`). An :class:`Event` may lie between two points: a fold, a wanted parameter, a
 closed loop, a crossing with a branch, or a zero of any function. Terminal events end the path. A
-:class:`StepControl` may reject steps by control values of the points.
+:class:`StepRejectionRule` may reject steps by control values of the points.
 
 References
 ----------
@@ -109,12 +109,12 @@ range from 0 to 2."""
 class EndReason(Enum):
     """Reason for the end of a path. The values are texts for messages.
 
-    REACHED: at a terminal event. END_LOST: an event with ``must_be_located`` was not located.
-    RANGE_LEFT: the parameter left its range.
+    TERMINAL_EVENT_REACHED: at a terminal event. EVENT_NOT_LOCATED: an event with
+    ``must_be_located`` was not located. RANGE_LEFT: the parameter left its range.
     """
 
-    REACHED = "reached the end"
-    END_LOST = "no solution was found at the very end: move the end a little"
+    TERMINAL_EVENT_REACHED = "reached the end"
+    EVENT_NOT_LOCATED = "no solution was found at the very end: move the end a little"
     RANGE_LEFT = "it turned back past its start: move the start, or exchange start and end"
     TOO_MANY_POINTS = "the end was not reached within {max_points} points: give a shorter range"
     STEPS_TOO_SHORT = (
@@ -127,11 +127,11 @@ class EndReason(Enum):
         return str(self.value).format(max_points=max_points)
 
 
-FIELD_NAMES_NOT_IN_KERNEL = "located_events", "step_control_values"
-"""Fields of a :class:`PathSegment` without a counterpart in the kernel's struct ``path``."""
+SEGMENT_FIELD_NAMES_NOT_IN_KERNEL = "located_events", "step_control_values"
+"""Fields of :class:`ConsecutivePathPoints` that the kernel's struct ``path`` lacks."""
 
 
-class PathSegment(Sequence[PathPoint]):
+class ConsecutivePathPoints(Sequence[PathPoint]):
     """Consecutive points of a path, stored in arrays for the kernel.
 
     Access by index creates a :class:`PathPoint`, by slice another segment.
@@ -143,7 +143,7 @@ class PathSegment(Sequence[PathPoint]):
     parameters, parameter_tangents : (n,)
         Parameter p, and part t_p of the tangent.
     unknowns_weights, time_mean_weights : (n,)
-        Weights of the norm w |x|^2 + p^2 (:func:`norm_weights_at`).
+        Weights of the norm w |x|^2 + p^2 (:func:`norm_weights_of_unknowns_and_means`).
     chord_lengths : (n,)
         Distance from the previous point, in the previous point's norm.
     iterations : (n,) int
@@ -177,8 +177,8 @@ class PathSegment(Sequence[PathPoint]):
             np.zeros(capacity, np.int8),
         )
         self.located_events: list[tuple[Event, PathPoint]] = []
-        for point_index, point in enumerate(start_points):
-            self.set_point(point_index, point)
+        for point_index_in_segment, point in enumerate(start_points):
+            self.set_point(point_index_in_segment, point)
 
     def set_point(self, point_index: int, point: PathPoint) -> None:
         """Overwrite the point at an index with another point's data."""
@@ -213,14 +213,14 @@ class PathSegment(Sequence[PathPoint]):
         array_by_name = {
             name: array
             for name, array in vars(self).items()
-            if name not in FIELD_NAMES_NOT_IN_KERNEL
+            if name not in SEGMENT_FIELD_NAMES_NOT_IN_KERNEL
         }
         return Struct("path", capacity=len(self), n_known=n_known, **array_by_name, **scalars)
 
     def __len__(self) -> int:
         return len(self.parameters)
 
-    def yield_one_point_segments(self) -> Iterator[PathSegment]:
+    def yield_one_point_segments(self) -> Iterator[ConsecutivePathPoints]:
         """Yield each point as a segment of length 1. The last segment keeps the located events."""
         for point_index in range(len(self)):
             segment = self[point_index : point_index + 1]
@@ -230,10 +230,10 @@ class PathSegment(Sequence[PathPoint]):
     @overload
     def __getitem__(self, index: int) -> PathPoint: ...
     @overload
-    def __getitem__(self, index: slice) -> PathSegment: ...
-    def __getitem__(self, index: int | slice) -> PathPoint | PathSegment:
+    def __getitem__(self, index: slice) -> ConsecutivePathPoints: ...
+    def __getitem__(self, index: int | slice) -> PathPoint | ConsecutivePathPoints:
         if isinstance(index, slice):
-            segment = object.__new__(PathSegment)
+            segment = object.__new__(ConsecutivePathPoints)
             array_by_name = {
                 name: array for name, array in vars(self).items() if name != "located_events"
             }
@@ -258,7 +258,7 @@ class PathSegment(Sequence[PathPoint]):
 
 # --- events ---------------------------------------------------------------------------------------
 
-SegmentEnds = tuple[PathPoint, PathPoint]
+StepEnds = tuple[PathPoint, PathPoint]
 """Start and end of a step: two neighbouring points of a path."""
 
 
@@ -281,14 +281,14 @@ class Event(ABC):
     is_terminal, must_be_located, description, kind = False, False, "", ""
 
     @abstractmethod
-    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: ConsecutivePathPoints) -> np.ndarray:
         """Mark steps between neighbouring points with a possible event: (n-1,) bool.
 
         ``segment`` has n points. :meth:`locate` is called for each marked step.
         """
 
     @abstractmethod
-    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: StepEnds, rtol: float) -> PathPoint | None:
         """Locate the event between two neighbouring points ``ends``, with |F| / |x| <= ``rtol``.
 
         None if the step has no event, or if the search fails.
@@ -304,22 +304,25 @@ class BranchPoint(Event):
 
     kind = "branch_point"
 
-    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: ConsecutivePathPoints) -> np.ndarray:
         return np.asarray(segment.crosses_branch[1:] > 0)
 
-    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: StepEnds, rtol: float) -> PathPoint | None:
         start, end = ends
-        length_before_crossing, length_after_crossing = 0.0, chord_length(system, start, end)
+        step_length_before_crossing, step_length_beyond_crossing = (
+            0.0,
+            chord_length(system, start, end),
+        )
         start_orientation = _sign_of_tangent_part_times_determinant(system, start)
-        while length_after_crossing - length_before_crossing > MIN_RESOLVED_DISTANCE:
-            middle_length = 0.5 * (length_before_crossing + length_after_crossing)
+        while step_length_beyond_crossing - step_length_before_crossing > MIN_RESOLVED_DISTANCE:
+            middle_length = 0.5 * (step_length_before_crossing + step_length_beyond_crossing)
             point = try_step(system, start, middle_length, rtol)
             if point is None:
                 break
             if _sign_of_tangent_part_times_determinant(system, point) == start_orientation:
-                length_before_crossing = middle_length
+                step_length_before_crossing = middle_length
             else:
-                end, length_after_crossing = point, middle_length
+                end, step_length_beyond_crossing = point, middle_length
         return end
 
 
@@ -341,16 +344,16 @@ class ZeroCrossing(Event):
     def __init__(self, function: Callable[[PathPoint], float]) -> None:
         self._function = function
 
-    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: ConsecutivePathPoints) -> np.ndarray:
         function_values = np.array([self._function(point) for point in segment])
         return np.asarray(function_values[1:] * function_values[:-1] < 0.0)
 
-    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: StepEnds, rtol: float) -> PathPoint | None:
         return find_zero_point_and_function_value(system, ends, self._function, rtol)[0]
 
 
 def find_zero_point_and_function_value(
-    system: System, ends: SegmentEnds, point_function: Callable[[PathPoint], float], rtol: float
+    system: System, ends: StepEnds, point_function: Callable[[PathPoint], float], rtol: float
 ) -> tuple[PathPoint, float]:
     """Find the zero of a function f(point) between two points of a path.
 
@@ -375,10 +378,15 @@ def find_zero_point_and_function_value(
     Dowell and Jarratt, BIT 11, 1971, 168.
     """
     start, end = ends
-    unknown_change, parameter_change = end.unknown - start.unknown, end.parameter - start.parameter
+    unknown_change_between_ends, parameter_change_between_ends = (
+        end.unknown - start.unknown,
+        end.parameter - start.parameter,
+    )
     full_chord_length = chord_length(system, start, end) or 1.0
     chord_tangent = replace(
-        start.tangent, x=unknown_change / full_chord_length, p=parameter_change / full_chord_length
+        start.tangent,
+        x=unknown_change_between_ends / full_chord_length,
+        p=parameter_change_between_ends / full_chord_length,
     )
     points_and_values_by_fraction = {
         fraction: (point, point_function(point))
@@ -391,9 +399,9 @@ def find_zero_point_and_function_value(
             scale = fraction * (1.0 - fraction) * full_chord_length
             tangent_weights = scale * np.array([1.0 - fraction, -fraction])
             chord_weight = fraction * fraction * (3.0 - 2.0 * fraction)
-            x = start.unknown + chord_weight * unknown_change
+            x = start.unknown + chord_weight * unknown_change_between_ends
             x = x + tangent_weights[0] * start.tangent.x + tangent_weights[1] * end.tangent.x
-            p = start.parameter + chord_weight * parameter_change
+            p = start.parameter + chord_weight * parameter_change_between_ends
             p += tangent_weights[0] * start.tangent.p + tangent_weights[1] * end.tangent.p
             corrected_point = solve_in_plane(
                 system,
@@ -418,25 +426,28 @@ def find_zero_point_and_function_value(
             points_and_values_by_fraction[fraction] = point, point_function(point)
         return points_and_values_by_fraction[fraction][1]
 
-    kept_fraction, last_fraction = 0.0, 1.0
-    kept_function_value = function_value_at(kept_fraction)
+    fraction_at_kept_end, last_fraction = 0.0, 1.0
+    function_value_at_kept_end = function_value_at(fraction_at_kept_end)
     last_function_value = function_value_at(last_fraction)
     with suppress(ConvergenceError):
         while (
-            kept_function_value * last_function_value < 0.0
-            and abs(last_fraction - kept_fraction) > 1e-12
+            function_value_at_kept_end * last_function_value < 0.0
+            and abs(last_fraction - fraction_at_kept_end) > 1e-12
         ):
-            fraction_width = last_fraction - kept_fraction
+            fraction_width = last_fraction - fraction_at_kept_end
             fraction = last_fraction - last_function_value * fraction_width / (
-                last_function_value - kept_function_value
+                last_function_value - function_value_at_kept_end
             )
-            if fraction in (kept_fraction, last_fraction):
+            if fraction in (fraction_at_kept_end, last_fraction):
                 break
             new_function_value = function_value_at(fraction)
             if new_function_value * last_function_value < 0.0:
-                kept_fraction, kept_function_value = last_fraction, last_function_value
+                fraction_at_kept_end, function_value_at_kept_end = (
+                    last_fraction,
+                    last_function_value,
+                )
             else:  # the Illinois method: halve the value at the end that stays
-                kept_function_value *= 0.5
+                function_value_at_kept_end *= 0.5
             last_fraction, last_function_value = fraction, new_function_value
     return min(points_and_values_by_fraction.values(), key=lambda entry: abs(entry[1]))
 
@@ -449,10 +460,10 @@ class Fold(ZeroCrossing):
     def __init__(self) -> None:
         super().__init__(lambda point: point.tangent.p)
 
-    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: ConsecutivePathPoints) -> np.ndarray:
         return np.asarray(segment.parameter_tangents[1:] * segment.parameter_tangents[:-1] < 0.0)
 
-    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: StepEnds, rtol: float) -> PathPoint | None:
         point = _find_fold_or_target(system, ends, None, rtol)
         ends_chord_length = chord_length(system, *ends)
         if point is None and ends_chord_length > 4.0 * MIN_RESOLVED_DISTANCE:  # try shorter steps
@@ -470,13 +481,13 @@ class Target(Event):
     """Point with a given value of the parameter, the terminal event of a path."""
 
     parameter: float
-    is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
+    is_terminal, must_be_located, description = True, True, EndReason.TERMINAL_EVENT_REACHED.value
 
-    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
+    def mark_steps_with_event(self, segment: ConsecutivePathPoints) -> np.ndarray:
         difference = segment.parameters - self.parameter
         return np.asarray((difference[:-1] != 0.0) & (difference[1:] * difference[:-1] <= 0.0))
 
-    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: StepEnds, rtol: float) -> PathPoint | None:
         estimated_point = _find_fold_or_target(system, ends, self.parameter, rtol)
         if estimated_point is None:
             return None
@@ -496,30 +507,33 @@ class ClosedLoop(Event):
     system: System
     is_terminal, description = True, "closed loop"
 
-    def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
-        chord_lengths = segment.chord_lengths[1:]
+    def mark_steps_with_event(self, segment: ConsecutivePathPoints) -> np.ndarray:
+        step_chord_lengths = segment.chord_lengths[1:]
         may_return_in_step = (
             np.abs(segment.parameters[:-1] - self.origin.parameter)
-            <= chord_lengths / MIN_EQUAL_DIRECTION_COSINE
+            <= step_chord_lengths / MIN_EQUAL_DIRECTION_COSINE
         )
         for index in np.flatnonzero(may_return_in_step):
             point = segment[int(index)]
-            point_tangent, change_to_origin = point.tangent, self.origin.unknown - point.unknown
+            point_tangent, vector_from_point_to_origin = (
+                point.tangent,
+                self.origin.unknown - point.unknown,
+            )
             distance_along_tangent = point_tangent.inner_product(
-                self.system, change_to_origin, point_tangent.x
+                self.system, vector_from_point_to_origin, point_tangent.x
             )
             distance_along_tangent += point_tangent.p * (self.origin.parameter - point.parameter)
-            may_return_in_step[index] = 0.0 < distance_along_tangent <= chord_lengths[index]
+            may_return_in_step[index] = 0.0 < distance_along_tangent <= step_chord_lengths[index]
         return np.asarray(may_return_in_step)
 
-    def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
+    def locate(self, system: System, ends: StepEnds, rtol: float) -> PathPoint | None:
         start, origin = ends[0], self.origin
         distance_to_origin = chord_length(system, start, origin)
-        change_to_origin = origin.unknown - start.unknown
-        parameter_change = origin.parameter - start.parameter
-        to_origin_cosine = replace(start.tangent, x=change_to_origin, p=parameter_change).cosine_to(
-            start.tangent, system
-        )
+        vector_from_start_to_origin = origin.unknown - start.unknown
+        parameter_change_to_origin = origin.parameter - start.parameter
+        to_origin_cosine = replace(
+            start.tangent, x=vector_from_start_to_origin, p=parameter_change_to_origin
+        ).cosine_to(start.tangent, system)
         if to_origin_cosine < MIN_EQUAL_DIRECTION_COSINE:
             return None
         point = try_step(system, start, to_origin_cosine * distance_to_origin, rtol)
@@ -535,37 +549,49 @@ class ClosedLoop(Event):
 
 
 def _find_fold_or_target(
-    system: System, ends: SegmentEnds, target_parameter: float | None, rtol: float
+    system: System, ends: StepEnds, target_parameter: float | None, rtol: float
 ) -> PathPoint | None:
     """Find a fold or a target parameter between two points; None if the search fails.
 
     If ``target_parameter`` is None, a fold is sought. Guesses come from Hermite's cubic p(s)
     through the enclosing points, with s along the first point's tangent.
     """
-    equations, segment = equations_of(system, ends[0].unknown.shape), PathSegment(ends, 3)
+    system_equations, segment = (
+        equations_of(system, ends[0].unknown.shape),
+        ConsecutivePathPoints(ends, 3),
+    )
     stepping_struct = Struct(
         "stepping",
         min_step=MIN_RESOLVED_DISTANCE,
         correction=correction_struct(rtol, MAX_PARAMETER_CHANGE_IN_STEPS),
     )
-    target_pointer = NULL if target_parameter is None else pointer(np.array([target_parameter]))
+    target_parameter_pointer = (
+        NULL if target_parameter is None else pointer(np.array([target_parameter]))
+    )
     segment_struct = segment.struct(2)
-    outcome = equations.run_unchecked(
-        kernel.find_point_between, stepping_struct.address, target_pointer, segment_struct.address
+    outcome_code = system_equations.run_unchecked(
+        kernel.find_point_between,
+        stepping_struct.address,
+        target_parameter_pointer,
+        segment_struct.address,
     )
     return (
-        segment[segment_struct.address.n_known] if equations.has_found_solution(outcome) else None
+        segment[segment_struct.address.n_known]
+        if system_equations.has_found_solution(outcome_code)
+        else None
     )
 
 
 # --- the path -------------------------------------------------------------------------------------
 
 
-class StepControl(ABC):
+class StepRejectionRule(ABC):
     """Rule to reject steps of a path as too long, by ``step_control_values`` of the points."""
 
     @abstractmethod
-    def mark_rejected_steps(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
+    def mark_rejected_steps(
+        self, segment: ConsecutivePathPoints, first_index: int = 0
+    ) -> np.ndarray:
         """Return True for each step that is too long: (n-1-first_index,) bool.
 
         ``segment`` has n points, with n-1 steps between them. Steps before the point
@@ -589,7 +615,7 @@ def step_control_values_or_none(system: System, linearisation: Linearisation) ->
 class Path:
     """Path of solutions F(x, p) = 0 from a start point. Iteration yields segments, once.
 
-    Each :class:`PathSegment` ends at an event, or with the last point of a kernel call.
+    Each :class:`ConsecutivePathPoints` ends at an event, or with the last point of a kernel call.
 
     Parameters
     ----------
@@ -601,7 +627,7 @@ class Path:
         Step lengths, tolerances and limits.
     events : sequence of Event
         Special points to locate.
-    step_control : StepControl, optional
+    step_control : StepRejectionRule, optional
         Rule to reject long steps. The system must have ``n_record_entries`` and
         ``step_control_values``.
 
@@ -617,7 +643,7 @@ class Path:
 
     def __init__(
         self, system: System, start: PathPoint, options: PathOptions, events: Sequence[Event] = (),
-        step_control: StepControl | None = None,
+        step_control: StepRejectionRule | None = None,
     ) -> None:  # fmt: skip
         self._system, self._options, self._events = system, options, events
         self._equations, self._step_control = (
@@ -641,16 +667,16 @@ class Path:
         for segment in self:
             yield from segment
 
-    def find_terminal_point_or_none(self) -> PathPoint | None:
+    def find_terminal_event_point_or_none(self) -> PathPoint | None:
         """Follow the whole path to the terminal event and return the last point.
 
         None if the path ended without a terminal event; ``end_reason`` tells why.
         """
         for _ in self:
             pass
-        return self.last_point if self.end_reason is EndReason.REACHED else None
+        return self.last_point if self.end_reason is EndReason.TERMINAL_EVENT_REACHED else None
 
-    def __iter__(self) -> Iterator[PathSegment]:
+    def __iter__(self) -> Iterator[ConsecutivePathPoints]:
         n_remaining_points, retry_step = self._options.max_steps, math.inf
         while self.end_reason is None:
             if not n_remaining_points:
@@ -662,40 +688,40 @@ class Path:
             if len(segment) == 1:
                 self.end_reason = EndReason.STEPS_TOO_SHORT
                 return
-            for segment_part, retry_index in self._yield_parts_and_retry_indices(segment):
+            for segment_part, retry_point_index in self._yield_parts_and_retry_indices(segment):
                 n_remaining_points -= len(segment_part)
-                if retry_index is None:
+                if retry_point_index is None:
                     self._start_points[:] = [*self._start_points, *segment_part[-2:]][-2:]
                 else:
                     retry_step = 0.25 * min(
-                        retry_step, float(segment.chord_lengths[retry_index + 1])
+                        retry_step, float(segment.chord_lengths[retry_point_index + 1])
                     )
                     if retry_step < self._options.min_step:
-                        self.end_reason = EndReason.END_LOST
+                        self.end_reason = EndReason.EVENT_NOT_LOCATED
                     else:
-                        self._restart(segment[retry_index], retry_step)
+                        self._restart(segment[retry_point_index], retry_step)
                 if len(segment_part):
                     self.last_point = segment_part[-1]
                     yield segment_part
-                if retry_index is not None or self.end_reason is not None:
+                if retry_point_index is not None or self.end_reason is not None:
                     break
 
     def _yield_parts_and_retry_indices(
-        self, segment: PathSegment
-    ) -> Iterator[tuple[PathSegment, int | None]]:
+        self, segment: ConsecutivePathPoints
+    ) -> Iterator[tuple[ConsecutivePathPoints, int | None]]:
         """Split a segment of new points after each point with a located event.
 
         Yields
         ------
-        part : PathSegment
+        part : ConsecutivePathPoints
             New points up to the next event. The point of a terminal event replaces the last point.
         retry_index : int or None
             If an event with ``must_be_located`` was not located: index in ``segment`` of the point
             from which to retry with a shorter step. Otherwise None.
         """
-        min_parameter, max_parameter = self._options.parameter_range
-        is_outside = (segment.parameters[1:] < min_parameter) | (
-            segment.parameters[1:] > max_parameter
+        min_allowed_parameter, max_allowed_parameter = self._options.parameter_range
+        is_outside = (segment.parameters[1:] < min_allowed_parameter) | (
+            segment.parameters[1:] > max_allowed_parameter
         )
         may_occur_by_event_and_step = np.array(
             [event.mark_steps_with_event(segment) for event in self._events], dtype=bool
@@ -703,20 +729,22 @@ class Path:
         may_occur_by_event_and_step = may_occur_by_event_and_step.reshape(
             len(self._events), len(segment) - 1
         )
-        part_start_index = 1
-        for step_index in map(
+        part_start_point_index = 1
+        for step_index_in_segment in map(
             int, np.flatnonzero(may_occur_by_event_and_step.any(axis=0) | is_outside)
         ):
-            segment_ends = segment[step_index], segment[step_index + 1]
-            tolerance = max(
-                MAX_LOCATION_RESIDUAL, self._relative_residual_rounding_at(segment_ends[1])
+            step_ends = segment[step_index_in_segment], segment[step_index_in_segment + 1]
+            event_location_tolerance = max(
+                MAX_LOCATION_RESIDUAL, self._relative_residual_rounding_at(step_ends[1])
             )
-            segment_part = segment[part_start_index : step_index + 2]
+            segment_part = segment[part_start_point_index : step_index_in_segment + 2]
             for event, event_may_occur in zip(
-                self._events, may_occur_by_event_and_step[:, step_index], strict=True
+                self._events, may_occur_by_event_and_step[:, step_index_in_segment], strict=True
             ):
                 event_point_or_none = (
-                    event.locate(self._system, segment_ends, tolerance) if event_may_occur else None
+                    event.locate(self._system, step_ends, event_location_tolerance)
+                    if event_may_occur
+                    else None
                 )
                 if event_point_or_none is not None:
                     event_point_or_none = self._with_record_and_step_control_values(
@@ -724,25 +752,28 @@ class Path:
                     )
                     segment_part.located_events.append((event, event_point_or_none))
                 if event_point_or_none is not None and event.is_terminal:
-                    if event_point_or_none is segment_ends[0]:
-                        segment_part = segment[part_start_index : step_index + 1]
+                    if event_point_or_none is step_ends[0]:
+                        segment_part = segment[part_start_point_index : step_index_in_segment + 1]
                     else:
                         segment_part.set_point(-1, event_point_or_none)
-                    self.end_reason, self.terminal_event = EndReason.REACHED, event
+                    self.end_reason, self.terminal_event = EndReason.TERMINAL_EVENT_REACHED, event
                     yield segment_part, None
                     return
                 if event_may_occur and event_point_or_none is None and event.must_be_located:
-                    yield segment[part_start_index : step_index + 1], step_index
+                    yield (
+                        segment[part_start_point_index : step_index_in_segment + 1],
+                        step_index_in_segment,
+                    )
                     return
-            if is_outside[step_index]:
+            if is_outside[step_index_in_segment]:
                 self.end_reason = EndReason.RANGE_LEFT
-                yield segment[part_start_index : step_index + 1], None
+                yield segment[part_start_point_index : step_index_in_segment + 1], None
                 return
             if segment_part.located_events:
                 yield segment_part, None
-                part_start_index = step_index + 2
-        if part_start_index < len(segment):
-            yield segment[part_start_index:], None
+                part_start_point_index = step_index_in_segment + 2
+        if part_start_point_index < len(segment):
+            yield segment[part_start_point_index:], None
 
     # --- its steps --------------------------------------------------------------------------------
 
@@ -767,11 +798,11 @@ class Path:
 
         The value comes from the system's ``rounding``, else from the options.
         """
-        system_rounding = getattr(self._system, "rounding", None)
+        system_rounding_function = getattr(self._system, "rounding", None)
         return (
             self._options.rounding
-            if system_rounding is None
-            else float(system_rounding(point.parameter))
+            if system_rounding_function is None
+            else float(system_rounding_function(point.parameter))
         )
 
     def _restart(self, point: PathPoint, step_length: float) -> None:
@@ -782,15 +813,15 @@ class Path:
         self._start_points, self._next_step_length, self._orientation = [point], step_length, 0.0
 
     def _cut_at_rejected_step(
-        self, segment: PathSegment, n_known_points: int, first_step_length: float
-    ) -> PathSegment | None:
+        self, segment: ConsecutivePathPoints, n_known_points: int, first_step_length: float
+    ) -> ConsecutivePathPoints | None:
         """Cut a segment before the step control's first rejected step, and halve the step.
 
         Without a rejected step, step length and points per kernel call may grow again.
 
         Parameters
         ----------
-        segment : PathSegment
+        segment : ConsecutivePathPoints
             Points from earlier kernel calls, then the new points.
         n_known_points : int
             Number of points from earlier kernel calls.
@@ -799,22 +830,25 @@ class Path:
 
         Returns
         -------
-        PathSegment or None
+        ConsecutivePathPoints or None
             The last earlier point and the accepted new points; None if no new point is accepted.
         """
         assert self._step_control is not None
         new_step_control_values = self._system.step_control_values(segment.records[n_known_points:])  # type: ignore[attr-defined]
         segment.step_control_values = np.concatenate(
             [
-                [start_point.step_control_values for start_point in self._start_points],
+                [
+                    earlier_path_point.step_control_values
+                    for earlier_path_point in self._start_points
+                ],
                 new_step_control_values,
             ]
         )
-        step_lengths = segment.chord_lengths[n_known_points:].copy()
-        step_lengths[0] = min(
-            step_lengths[0], first_step_length
+        new_step_lengths = segment.chord_lengths[n_known_points:].copy()
+        new_step_lengths[0] = min(
+            new_step_lengths[0], first_step_length
         )  # a chord across a jump is no step
-        can_be_halved = step_lengths > 2.0 * self._options.min_step
+        can_be_halved = new_step_lengths > 2.0 * self._options.min_step
         rejected_step_indices = np.flatnonzero(
             self._step_control.mark_rejected_steps(segment, n_known_points - 1) & can_be_halved
         )
@@ -829,7 +863,7 @@ class Path:
         if segment.crosses_branch[last_accepted_index + 1 :].sum() % 2:
             self._orientation = -self._orientation
         self._next_step_length = self._max_step = 0.5 * float(
-            step_lengths[rejected_step_indices[0]]
+            new_step_lengths[rejected_step_indices[0]]
         )
         self._points_per_call = min(POINTS_PER_CALL_AFTER_HALVING, self._options.points_per_call)
         return (
@@ -838,7 +872,7 @@ class Path:
             else None
         )
 
-    def _follow_in_one_kernel_call(self, n_remaining_points: int) -> PathSegment | None:
+    def _follow_in_one_kernel_call(self, n_remaining_points: int) -> ConsecutivePathPoints | None:
         """Add points to the path in a single kernel call.
 
         Parameters
@@ -848,7 +882,7 @@ class Path:
 
         Returns
         -------
-        PathSegment or None
+        ConsecutivePathPoints or None
             The last earlier point and the new points. None: the step control rejects the first
             step, to be repeated with half the length. A segment with the earlier point alone: the
             steps became too short.
@@ -868,7 +902,9 @@ class Path:
             if self._step_control is None
             else int(self._equations.function_table.n_record_entries)
         )
-        segment = PathSegment(start_points, len(start_points) + max_new_points, n_record_entries)
+        segment = ConsecutivePathPoints(
+            start_points, len(start_points) + max_new_points, n_record_entries
+        )
         segment_struct = segment.struct(
             len(start_points), step=self._next_step_length, orientation=self._orientation
         )

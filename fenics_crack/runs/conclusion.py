@@ -227,7 +227,10 @@ def _make_conclusion_of_solution(run: StudyWithResult) -> Conclusion:
     elif not solution.gap_coefficients.size:
         error_text = ""
     error_text = "" if unknown_error_reason else _error_clause(run, fallback_text=error_text)
-    tolerance, faces_text = run.scene.harmonic_balance.tolerance, word_for_crack_faces(run.scene)
+    tolerance, crack_faces_word = (
+        run.scene.harmonic_balance.tolerance,
+        word_for_crack_faces(run.scene),
+    )
     misses_tolerance = tolerance is not None and error_report.total > tolerance
     return Conclusion(
         "solved, but the error exceeds harmonic_balance.tolerance"
@@ -237,21 +240,23 @@ def _make_conclusion_of_solution(run: StudyWithResult) -> Conclusion:
         f"peak-to-peak{error_text}",
         unknown_error_reason,
         ["nothing vibrates"]
-        if solution.still
-        else _list_crack_and_verdict_sentences(run, solution, faces_text),
+        if solution.is_still
+        else _list_opening_and_stability_sentences(run, solution, crack_faces_word),
     )
 
 
-def _list_crack_and_verdict_sentences(
-    run: StudyWithResult, solution: PeriodicSolution, faces_text: str
+def _list_opening_and_stability_sentences(
+    run: StudyWithResult, solution: PeriodicSolution, crack_faces_word: str
 ) -> list[str]:
     """Return sentences on crack opening, omitted friction, and stability of a solution.
 
-    ``faces_text`` is the scene's word for crack faces; "pairs" without a crack (matrices).
+    ``crack_faces_word`` is the scene's word for crack faces; "pairs" without a crack (matrices).
     """
     sentences = []
     if run.structure.n_pairs and solution.contact is not None:
-        subject_text = "the crack opens" if faces_text != "pairs" else "contact opens"
+        subject_and_verb_text = (
+            "the crack opens" if crack_faces_word != "pairs" else "contact opens"
+        )
         opening_text = format_quantity(solution.face_indicators["opening"], "m")
         opening_error = run.stated.stated("opening")[0] if run.stated is not None else 0.0
         error_text = (
@@ -260,7 +265,7 @@ def _list_crack_and_verdict_sentences(
             else ""
         )
         sentences.append(
-            f"{subject_text} by {opening_text}{error_text} and is closed "
+            f"{subject_and_verb_text} by {opening_text}{error_text} and is closed "
             f"for {format_percent(solution.face_indicators['closed_share'])} of the period"
             if solution.breathes
             else LINEAR_VIBRATION_TEXT
@@ -293,11 +298,11 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     """
     response_curve: ResponseCurve = run.result
     peak = response_curve.top(run.watched_dof)
-    curve_axis = axis_factor_name_and_unit(
+    parameter_factor_name_and_unit = axis_factor_name_and_unit(
         response_curve.parameter, run.scene.is_frequency_in_hertz
     )
     amplitude_text = format_quantity(peak.amplitude, "m")
-    location_text = format_in_unit(curve_axis, peak.value)
+    peak_location_text = format_in_unit(parameter_factor_name_and_unit, peak.value)
     unknown_error_reason = explain_unknown_amplitude_error(run)
     error_text = (
         ""
@@ -311,24 +316,30 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     if peak.at_end and peak.index == len(response_curve) - 1 and not response_curve.complete:
         answer_text = (
             f"the response of the {run.watched_description} still rises where the curve ended, "
-            f"with {amplitude_text} half peak-to-peak at {location_text}"
+            f"with {amplitude_text} half peak-to-peak at {peak_location_text}"
         )
     elif peak.at_end:
-        answer_text += f", {RISING_AT_END_TEXT}, {location_text}{error_text}"
+        answer_text += f", {RISING_AT_END_TEXT}, {peak_location_text}{error_text}"
     else:
-        location_error = (
+        peak_location_error = (
             run.stated.stated(run.stated.resonance)[0] if run.stated is not None else 0.0
         )
-        location_error_text = (
-            f" within {format_error(location_error)}" if 0.0 < location_error < np.inf else ""
+        peak_location_error_text = (
+            f" within {format_error(peak_location_error)}"
+            if 0.0 < peak_location_error < np.inf
+            else ""
         )
-        answer_text += f" at {location_text}{location_error_text}{error_text}"
+        answer_text += f" at {peak_location_text}{peak_location_error_text}{error_text}"
     sentences = list_linearity_sentences(response_curve.indicators(run.watched_dof).closed_share)
     if response_curve.multipliers is not None:
-        verdict_names, verdict_counts = np.unique(response_curve.verdicts, return_counts=True)
+        stability_verdict_names, verdict_counts = np.unique(
+            response_curve.verdicts, return_counts=True
+        )
         verdict_count_texts = (
-            f"{verdict_count} {verdict}"
-            for verdict_count, verdict in zip(verdict_counts, verdict_names, strict=True)
+            f"{verdict_count} {stability_verdict_name}"
+            for verdict_count, stability_verdict_name in zip(
+                verdict_counts, stability_verdict_names, strict=True
+            )
         )
         sentences.append(f"{', '.join(verdict_count_texts)} of {len(response_curve)} points")
     else:
@@ -378,7 +389,7 @@ def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
         )
         if not has_settled:
             change_text += f", above integration.settle = {integration_table.settle:g}"
-    if (distance_from_settled := history.distance) < 1.0:
+    if (distance_from_settled := history.distance_to_steady_motion) < 1.0:
         change_text += (
             f", estimated relative distance from the settled motion {distance_from_settled:.2g}"
         )
@@ -418,8 +429,11 @@ def list_stability_sentences(stability: Stability | None, amplitude: float) -> l
     if stability.from_rest:
         amplitude_text = ""
         if np.isfinite(stability.rest_amplitude) and amplitude > 0.0:
-            amplitude_ratio = stability.rest_amplitude / amplitude
+            from_rest_to_solution_amplitude_ratio = stability.rest_amplitude / amplitude
             amplitude_from_rest_text = format_quantity(stability.rest_amplitude, "m")
-            amplitude_text = f", {amplitude_ratio:.3g} times as large ({amplitude_from_rest_text})"
+            amplitude_text = (
+                f", {from_rest_to_solution_amplitude_ratio:.3g} times as large "
+                f"({amplitude_from_rest_text})"
+            )
         sentences.append(f"the motion from rest {stability.from_rest}{amplitude_text}")
     return sentences

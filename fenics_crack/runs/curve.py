@@ -28,7 +28,7 @@ from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import (
     SINGLE_COMPUTATION_FAILURES,
     Study,
-    estimate_and_check_memory,
+    estimate_and_check_solution_memory,
     modal_reduction_or_none,
 )
 from fenics_crack.study.solve import (
@@ -37,7 +37,7 @@ from fenics_crack.study.solve import (
     iterate_studies_with_more_modes,
     prepare_unreduced_if_scene,
     required_contact_law,
-    with_friction_lines,
+    with_fixed_slip_directions,
 )
 
 
@@ -76,34 +76,42 @@ def curve(
     >>> run = fc.curve(scene.replace({f"curve.{key}": value for key, value in keys.items()}))
     >>> run.result.complete
     """
-    studies = iterate_curve_studies(scene, comm)
-    study = next(studies)
+    studies_with_more_modes = iterate_curve_studies_with_more_modes(scene, comm)
+    study = next(studies_with_more_modes)
     _check_curve_is_possible(study)
     make_requested_rows_and_readers(study)  # before the curve: this may raise InputError
     scene = scene.scene if isinstance(scene, Study) else scene
-    parameter_name, start, stop = scene.given("curve").parameter_and_range
+    parameter_name, start_parameter_value, stop_parameter_value = scene.given(
+        "curve"
+    ).parameter_and_range
     if friction_of(required_contact_law(study)) is not None:
-        resonance_omega = (
-            _lowest_bilinear_omega(study, start, stop) if parameter_name == "omega" else None
+        friction_line_omega_or_none = (
+            _lowest_bilinear_omega(study, start_parameter_value, stop_parameter_value)
+            if parameter_name == "omega"
+            else None
         )
-        study = with_friction_lines(study, resonance_omega or scene.excitation.omega)
+        study = with_fixed_slip_directions(
+            study, friction_line_omega_or_none or scene.excitation.omega
+        )
     unreduced_study = replace(study, scene=scene, structure=study.structure.whole)
     if parameter_name == "speed" or not candidate_mode_counts(unreduced_study):
         return Run(**vars(study), result=_follow_curve(study, scene, progress))
     if parameter_name == "omega":
-        study = _find_study_with_enough_modes(study, studies, start, stop)
+        study = _find_study_meeting_tolerance(
+            study, studies_with_more_modes, start_parameter_value, stop_parameter_value
+        )
     law, tolerance = study.contact, scene.harmonic_balance.given("tolerance")
-    for larger_study in chain([study], studies):
+    for larger_study in chain([study], studies_with_more_modes):
         study = replace(larger_study, contact=law)
         response_curve = _follow_curve(study, scene, progress)
         if response_curve.status == INTERRUPTED_CURVE_STATUS:
             break
-        point_indices = sorted(
+        checked_point_indices = sorted(
             {response_curve.top(study.watched[0].dof).index, 0, len(response_curve) - 1}
         )
         mode_error = max(
-            find_largest_modal_error(study, response_curve.solution(point_index))
-            for point_index in point_indices
+            find_largest_modal_error(study, response_curve.solution(checked_point_index))
+            for checked_point_index in checked_point_indices
         )
         status_text = f"{response_curve.status}; {_describe_mode_choice(study, mode_error)}"
         response_curve = response_curve.with_status(status_text)
@@ -122,7 +130,7 @@ def _check_curve_is_possible(study: Study) -> None:
     if not structure.sum_over_ranks(np.abs(structure.force[1:]).sum()):
         requirement_text = "one that changes in time, such as excitation.force_sin"
         raise InputError("load", "steady", requirement_text)
-    if is_rigid(required_contact_law(study)) and not structure.light_lips:
+    if is_rigid(required_contact_law(study)) and not structure.has_massless_crack_faces:
         requirement_text = (
             "'penalty' or 'smoothed' for a curve; or set reduction.method = 'massless'"
         )
@@ -174,7 +182,9 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
     )
 
 
-def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
+def iterate_curve_studies_with_more_modes(
+    scene_or_study: Scene | Study, comm: MPI.Comm
+) -> Iterator[Study]:
     """Yield a curve's study, reduced to more modes each time (collective).
 
     For a curve over the rotor speed (run-up) a single study is yielded, with one reduction basis
@@ -194,25 +204,25 @@ def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iter
             "method",
             "'massless', or left out, for a curve over the rotor speed",
         )
-    estimate_and_check_memory(scene, unreduced_study.structure, is_run_up=True)
+    estimate_and_check_solution_memory(scene, unreduced_study.structure, is_run_up=True)
     if candidate_mode_counts(unreduced_study):
         engine_order = scene.excitation.omega / scene.speed
         candidate_studies = iterate_studies_with_more_modes(
             unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS
         )
-        study = _find_study_with_enough_modes(
+        study = _find_study_meeting_tolerance(
             next(candidate_studies), candidate_studies, engine_order * start, engine_order * stop
         )
         unreduced_study = replace(unreduced_study, scene=study.scene)
     reduction = modal_reduction_or_none(unreduced_study.scene, unreduced_study.structure)
     n_default_modes = min(DEFAULT_MODES_OF_LARGE_STRUCTURE, unreduced_study.structure.n_dofs)
-    n_modes = n_default_modes if reduction is None else reduction.n_modes
-    structure = run_up_structure(unreduced_study.structure, start, stop, n_modes)
+    n_run_up_basis_modes = n_default_modes if reduction is None else reduction.n_modes
+    structure = run_up_structure(unreduced_study.structure, start, stop, n_run_up_basis_modes)
     yield replace(unreduced_study, structure=structure.at_speed(start))
 
 
-def _find_study_with_enough_modes(
-    study: Study, studies: Iterator[Study], start_omega: float, stop_omega: float
+def _find_study_meeting_tolerance(
+    study: Study, studies_with_more_modes: Iterator[Study], start_omega: float, stop_omega: float
 ) -> Study:
     """Return the first study with enough modes for the scene's tolerance (collective).
 
@@ -225,13 +235,13 @@ def _find_study_with_enough_modes(
     ----------
     study : Study
         First study.
-    studies : iterator of Study
+    studies_with_more_modes : iterator of Study
         Further studies with more modes.
     start_omega, stop_omega : float [rad/s]
         Range for the load frequency.
     """
     balance_table, law = study.scene.harmonic_balance, required_contact_law(study)
-    for larger_study in chain([study], studies):
+    for larger_study in chain([study], studies_with_more_modes):
         study = replace(larger_study, contact=law)
         resonance_omega = _lowest_bilinear_omega(study, start_omega, stop_omega)
         problem = Problem(study.structure, resonance_omega, law, balance_table.harmonics)

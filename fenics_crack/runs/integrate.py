@@ -11,7 +11,7 @@ from mpi4py import MPI
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance
 from fenics_crack.balance.problem import least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.errors import N_RECORDED_PERIODS, InputError
+from fenics_crack.basics.errors import N_RECORDED_PERIODS_OF_INTEGRATION, InputError
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.files.store import StoredFile, read_result_file
 from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, is_unilateral
@@ -22,14 +22,14 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.runs.load import (
     make_run_from_file,
     structure_under_static_load,
-    study_under_mean_load,
+    study_under_mean_load_alone,
 )
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.result_tables import Integration
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import Study, prepare
-from fenics_crack.study.solve import required_contact_law, with_friction_lines
+from fenics_crack.study.solve import required_contact_law, with_fixed_slip_directions
 from fenics_crack.time.march import Initial, TimeHistory, make_initial_state_parts
 
 
@@ -78,16 +78,18 @@ def integrate(
         else _read_initial_motion_file(integration_table.initial, comm)
     )
     omega = scene.excitation.omega
-    study = with_friction_lines(prepare(scene, comm), omega)
+    study = with_fixed_slip_directions(prepare(scene, comm), omega)
     structure, law = study.structure, required_contact_law(study)
     method_name = _choose_method(study, integration_table, law)
     make_requested_rows_and_readers(study)  # before the integration: this may raise InputError
     initial_motion_or_state: Initial = None
     if integration_table.deflection is not None:
-        static_structure = structure_under_static_load(structure, integration_table.deflection)
-        min_harmonics = least_harmonics(static_structure, 1)
+        structure_for_static_deflection = structure_under_static_load(
+            structure, integration_table.deflection
+        )
+        min_harmonics = least_harmonics(structure_for_static_deflection, 1)
         initial_motion_or_state = solve_harmonic_balance(
-            static_structure, omega, law, harmonics=min_harmonics
+            structure_for_static_deflection, omega, law, harmonics=min_harmonics
         )
     elif earlier_motion_file is not None:
         start_state = _start_state_from_run(
@@ -97,7 +99,7 @@ def integrate(
         )
         initial_motion_or_state = start_state if friction_of(law) is not None else start_state[:2]
     if integration_table.free:
-        study = study_under_mean_load(study)
+        study = study_under_mean_load_alone(study)
     march_function, steps_per_period = _march_function_and_steps(
         study, method_name, integration_table.steps_per_period
     )
@@ -111,7 +113,7 @@ def integrate(
         settle=0.0 if integration_table.free else integration_table.settle,
         record_periods=None
         if integration_table.free
-        else min(N_RECORDED_PERIODS, integration_table.periods),
+        else min(N_RECORDED_PERIODS_OF_INTEGRATION, integration_table.periods),
         initial=initial_motion_or_state,
         progress=progress,
     )
@@ -191,10 +193,10 @@ def _start_state_from_run(
         )
     local_states = earlier_motion.structure.expand(np.array(final_state[:2]))
     points_of_meshes = [
-        np.zeros((meshed_structure.n_local, 1))
-        if meshed_structure.nodes is None
-        else meshed_structure.nodes.points
-        for meshed_structure in (whole_structure, earlier_motion.structure.whole)
+        np.zeros((compared_structure.n_local, 1))
+        if compared_structure.nodes is None
+        else compared_structure.nodes.points
+        for compared_structure in (whole_structure, earlier_motion.structure.whole)
     ]
     has_same_mesh = local_states.shape[1] == whole_structure.n_local and np.array_equal(
         *points_of_meshes
@@ -204,10 +206,10 @@ def _start_state_from_run(
             False, "initial", "a result on the mesh of this scene; compute it again"
         )
     if isinstance(structure, ReducedStructure):
-        mass_products = multiply_columns(whole_structure.mass, local_states.T).T
-        modal_states = whole_structure.sum_over_ranks(mass_products @ structure.basis)
-        n_missing_coordinates = structure.n_dofs - modal_states.shape[1]
-        local_states = np.pad(modal_states, ((0, 0), (0, n_missing_coordinates)))
+        mass_times_states = multiply_columns(whole_structure.mass, local_states.T).T
+        modal_states = whole_structure.sum_over_ranks(mass_times_states @ structure.basis)
+        n_coordinates_besides_modes = structure.n_dofs - modal_states.shape[1]
+        local_states = np.pad(modal_states, ((0, 0), (0, n_coordinates_besides_modes)))
     return local_states[0], local_states[1], *final_state[2:]
 
 
@@ -218,8 +220,8 @@ def _choose_method(study: Study, integration_table: Integration, law: ContactLaw
     without mass, else "central_difference". InputError if structure or contact law do not suit the
     method.
     """
-    structure, contact, requirement_text = study.structure, study.scene.contact, ""
-    has_massless_faces = structure.light_lips
+    structure, contact_table, requirement_text = study.structure, study.scene.contact, ""
+    has_massless_faces = structure.has_massless_crack_faces
     method_name = integration_table.method or (
         "exponential" if has_massless_faces else "central_difference"
     )
@@ -243,5 +245,5 @@ def _choose_method(study: Study, integration_table: Integration, law: ContactLaw
         raise InputError("integration.method", method_name, requirement_text)
     if is_closed_form and not is_unilateral(law):
         requirement_text = f"'penalty' or 'unilateral' with integration.method = {method_name!r}"
-        raise InputError("contact.law", contact and contact.law, requirement_text)
+        raise InputError("contact.law", contact_table and contact_table.law, requirement_text)
     return method_name

@@ -18,7 +18,7 @@ from fenics_crack.files.store import StoredFile, read_result_file
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.runs.curve import iterate_curve_studies
+from fenics_crack.runs.curve import iterate_curve_studies_with_more_modes
 from fenics_crack.runs.run import Run
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.time.march import TimeHistory
@@ -82,11 +82,11 @@ def make_run_from_file(
         )
     on_root(comm, lambda: result_file.check_files(scene))
     if issubclass(result_type, ResponseCurve) and scene.curve is not None:
-        study = next(iterate_curve_studies(scene, comm))
+        study = next(iterate_curve_studies_with_more_modes(scene, comm))
     else:
         study = prepare(scene, comm, whole=result_type is Modes, judged=with_reference)
     if result_type is TimeHistory and scene.integration is not None and scene.integration.free:
-        study = study_under_mean_load(study)
+        study = study_under_mean_load_alone(study)
     try:
         result = unpack_result(result_file, study.structure, study.contact)
     except InputError as error:
@@ -114,7 +114,7 @@ def make_run_on_this_rank(result_file: StoredFile) -> Run[Result]:
     )
 
 
-def study_under_mean_load(study: Study) -> Study:
+def study_under_mean_load_alone(study: Study) -> Study:
     """Return a study under the load's mean alone, for a free decay."""
     structure = structure_under_static_load(study.structure, 0.0).watching(study.watched[0].dof)
     return replace(study, structure=structure)

@@ -61,7 +61,7 @@ class Reaction(Tabular):
 
     def _repr_text(self) -> str:
         largest_force, largest_moment = self.numbers.values()
-        center_text = ", ".join(f"{coordinate:.4g}" for coordinate in self.center)
+        center_text = ", ".join(f"{center_coordinate:.4g}" for center_coordinate in self.center)
         return (
             f"up to {format_quantity(largest_force, 'N')} and "
             f"{format_quantity(largest_moment, 'N m')} about ({center_text}) m"

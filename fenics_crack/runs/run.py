@@ -13,7 +13,7 @@ import numpy as np
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
 from fenics_crack.errors.stated import estimate_result_errors
@@ -40,7 +40,14 @@ class ResultAttribute:
         return self if run is None else getattr(run.result, self.attribute_name)
 
 
-@with_old_names(
+@keep_old_attribute_names(
+    distance="distance_to_steady_motion",
+    resolution="max_missed_window_width",
+    slow_gap_coefficients="gap_series_without_static_part",
+    sticking_places="slider_positions",
+    still="is_still",
+    structure_with_row_pairs="structure_with_pair_per_row",
+    undecided="is_undecided",
     at_phase="basis_gaps_and_forces_at_phases",
     coordinates="displacement_of_local_dofs",
     force_rows="row_force_coefficients",
@@ -132,18 +139,18 @@ class Run(StudyWithResult, Generic[ResultType]):
         """
         result = self.result
         watched_dofs = [watched_displacement.dof for watched_displacement in self.watched]
-        displacement_columns: list[np.ndarray] = []
+        displacements_of_watched_dofs: list[np.ndarray] = []
         if isinstance(result, TimeHistory):
-            displacement_columns = list(result.displacement(watched_dofs).T)
+            displacements_of_watched_dofs = list(result.displacement(watched_dofs).T)
         elif isinstance(result, ObservedMotion):
-            displacement_columns = [
+            displacements_of_watched_dofs = [
                 observed_displacement.real_fourier_coefficients
                 for observed_displacement in result.observe_dofs(watched_dofs)[0]
             ]
         return dict(
             zip(
                 (watched_displacement.words for watched_displacement in self.watched),
-                displacement_columns,
+                displacements_of_watched_dofs,
                 strict=False,
             )
         )
@@ -195,7 +202,7 @@ class Run(StudyWithResult, Generic[ResultType]):
     displacement_errors = ResultAttribute()
     displacement_field = ResultAttribute()
     displacement_of_local_dofs = ResultAttribute()
-    distance = ResultAttribute()
+    distance_to_steady_motion = ResultAttribute()
     estimate = ResultAttribute()
     exact = ResultAttribute()
     face_indicators = ResultAttribute()
@@ -207,14 +214,18 @@ class Run(StudyWithResult, Generic[ResultType]):
     function = ResultAttribute()
     gap = ResultAttribute()
     gap_coefficients = ResultAttribute()
+    gap_series_without_static_part = ResultAttribute()
     gaps_and_forces = ResultAttribute()
     harmonics = ResultAttribute()
     indicators = ResultAttribute()
     indicators_of_dofs = ResultAttribute()
     instants = ResultAttribute()
     irregular = ResultAttribute()
+    is_still = ResultAttribute()
+    is_undecided = ResultAttribute()
     iterations = ResultAttribute()
     KIND = ResultAttribute()
+    max_missed_window_width = ResultAttribute()
     method = ResultAttribute()
     multipliers = ResultAttribute()
     nearest = ResultAttribute()
@@ -238,23 +249,20 @@ class Run(StudyWithResult, Generic[ResultType]):
     report = ResultAttribute()
     reported = ResultAttribute()
     residual_compliance = ResultAttribute()
-    resolution = ResultAttribute()
     row_force_coefficients = ResultAttribute()
     row_gap_coefficients = ResultAttribute()
     samples = ResultAttribute()
     seconds = ResultAttribute()
     settled = ResultAttribute()
     shapes = ResultAttribute()
-    slow_gap_coefficients = ResultAttribute()
+    slider_positions = ResultAttribute()
     solution = ResultAttribute()
     stability = ResultAttribute()
     stable = ResultAttribute()
     static_above = ResultAttribute()
     status = ResultAttribute()
     steps_per_period = ResultAttribute()
-    sticking_places = ResultAttribute()
-    still = ResultAttribute()
-    structure_with_row_pairs = ResultAttribute()
+    structure_with_pair_per_row = ResultAttribute()
     subharmonic = ResultAttribute()
     system = ResultAttribute()
     table = ResultAttribute()
@@ -268,9 +276,9 @@ class Run(StudyWithResult, Generic[ResultType]):
     to_dict = ResultAttribute()
     tolerance = ResultAttribute()
     top = ResultAttribute()
-    undecided = ResultAttribute()
     values = ResultAttribute()
     verdicts = ResultAttribute()
+    with_status = ResultAttribute()
     yield_records_of_row_products = ResultAttribute()
 
 

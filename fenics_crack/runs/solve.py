@@ -106,20 +106,21 @@ def _with_outcome_of_start_from_rest(run: Run[PeriodicSolution]) -> Run[Periodic
     """
     solution, watched_dof = run.result, run.watched_dof
     stability = solution.stability
-    if stability is None or solution.still:
+    if stability is None or solution.is_still:
         return run
-    is_decided = stability.verdict != "undecided"
-    if is_decided and solution.breathes:
+    is_stability_decided = stability.verdict != "undecided"
+    if is_stability_decided and solution.breathes:
         return run
     begin_stage("the motion from rest")
     motion_from_rest = None
     with suppress(KeyboardInterrupt):  # the solution stays as it is
         motion_from_rest = attractor_from_rest(solution)
-    if motion_from_rest is None or not motion_from_rest.periods:
+    if motion_from_rest is None or not motion_from_rest.n_integrated_load_periods:
         return run
     amplitude_from_rest = math.nan
     outcome_text = (
-        f"has not settled after {format_count(motion_from_rest.periods, 'period')} of the load "
+        "has not settled after "
+        f"{format_count(motion_from_rest.n_integrated_load_periods, 'period')} of the load "
         "(integrate shows its course)"
     )
     if motion_from_rest.orbit is not None:
@@ -127,7 +128,7 @@ def _with_outcome_of_start_from_rest(run: Run[PeriodicSolution]) -> Run[Periodic
         amplitude_from_rest = motion_from_rest.orbit.amplitude(watched_dof)
         solution_amplitude = solution.amplitude(watched_dof)
         if (
-            is_decided
+            is_stability_decided
             and abs(amplitude_from_rest - solution_amplitude)
             <= MAX_SETTLED_CHANGE * solution_amplitude
         ):

@@ -11,7 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import Tabular
 from fenics_crack.errors.stated import estimate_result_errors
 from fenics_crack.errors.verification import Verification
@@ -23,16 +23,22 @@ from fenics_crack.study.observer import (
     leading_crack_tip_index,
     make_tips_and_intensity_rows,
     station_indices_by_front,
-    tabulate_tip_values,
+    tabulate_stress_intensity_values,
 )
 from fenics_crack.time.march import TimeHistory
 
 
-@with_old_names(
+@keep_old_attribute_names(
     ahead="growth_directions", one="K_I", two="K_II", three="K_III", closed="closed_front_errors",
-    leading="leading_tip_index", fronts="station_indices_by_front", turn="turning_angles",
+    leading="leading_tip_index", fronts="station_indices_by_front", turn="crack_kink_angles",
     positions="distances_along_crack",
 )  # fmt: skip
+@keep_old_attribute_names(
+    largest="max_K_I_by_tip",
+    smallest="min_K_I_by_tip",
+    tips="tip_names",
+    turning_angles="crack_kink_angles",
+)
 @dataclass(frozen=True, repr=False)
 class StressIntensity(Tabular):
     """Stress intensity factors at crack tips or front stations over a motion.
@@ -44,7 +50,7 @@ class StressIntensity(Tabular):
     ----------
     time : (n,) [s]
         Instants in one period of a solution, or in the record of a motion in time.
-    tips : tuple of str
+    tip_names : tuple of str
         Names: "the crack tip", "the left crack tip", "the crack tip of crack 2". A station is named
         by its distance from the front's beginning: "the crack front at 3.2 mm".
     distances_along_crack : (n_tips,) [m]
@@ -65,7 +71,7 @@ class StressIntensity(Tabular):
     """
 
     time: np.ndarray
-    tips: tuple[str, ...]
+    tip_names: tuple[str, ...]
     distances_along_crack: np.ndarray
     points: np.ndarray
     growth_directions: np.ndarray
@@ -86,15 +92,15 @@ class StressIntensity(Tabular):
         With a table ``[growth]``, delta_K_equivalent is added. This range begins at 0. Applied once
         per load period, the range gives the same crack growth as all rainflow cycles in K_I.
         """
-        return tabulate_tip_values(self._tip_histories)
+        return tabulate_stress_intensity_values(self._tip_histories)
 
     @property
-    def largest(self) -> np.ndarray:
+    def max_K_I_by_tip(self) -> np.ndarray:
         """Largest K_I at each tip over time: (n_tips,) [Pa m^1/2]."""
         return self.numbers["K_max"]
 
     @property
-    def smallest(self) -> np.ndarray:
+    def min_K_I_by_tip(self) -> np.ndarray:
         """Smallest K_I at each tip over time: (n_tips,) [Pa m^1/2]."""
         return self.numbers["K_min"]
 
@@ -122,10 +128,10 @@ class StressIntensity(Tabular):
 
         A plate has no fronts: all tips are listed under the name "".
         """
-        return station_indices_by_front(self.tips)
+        return station_indices_by_front(self.tip_names)
 
     @property
-    def turning_angles(self) -> np.ndarray:
+    def crack_kink_angles(self) -> np.ndarray:
         """Angle by which cracks turn left at largest K_I: (n_tips,) [rad].
 
         The crack turns by the angle theta with the largest hoop stress: K_I sin(theta) + K_II (3
@@ -133,10 +139,14 @@ class StressIntensity(Tabular):
         nan if K_I is never positive.
         """
         instant_index_of_largest = self.K_I.argmax(axis=0)[None]
-        K_I = np.take_along_axis(self.K_I, instant_index_of_largest, axis=0)[0]
-        K_II = np.take_along_axis(self.K_II, instant_index_of_largest, axis=0)[0]
-        angles = -2.0 * np.arctan(2.0 * K_II / (K_I + np.sqrt(K_I**2 + 8.0 * K_II**2)))
-        return np.where(K_I > 0.0, angles, np.nan)
+        K_I_at_its_maximum = np.take_along_axis(self.K_I, instant_index_of_largest, axis=0)[0]
+        K_II_at_maximum_K_I = np.take_along_axis(self.K_II, instant_index_of_largest, axis=0)[0]
+        angles = -2.0 * np.arctan(
+            2.0
+            * K_II_at_maximum_K_I
+            / (K_I_at_its_maximum + np.sqrt(K_I_at_its_maximum**2 + 8.0 * K_II_at_maximum_K_I**2))
+        )
+        return np.where(K_I_at_its_maximum > 0.0, angles, np.nan)
 
     @cached_property
     def errors(self) -> Verification | None:
@@ -159,7 +169,7 @@ class StressIntensity(Tabular):
         values_by_name = {"K_I": self.K_I, "K_II": self.K_II} | (
             {} if self.K_III is None else {"K_III": self.K_III}
         )
-        for tip_index, tip_name in enumerate(self.tips):
+        for tip_index, tip_name in enumerate(self.tip_names):
             values_by_column |= {
                 f"{name}, {tip_name}": values[:, tip_index].tolist()
                 for name, values in values_by_name.items()
@@ -174,7 +184,7 @@ class StressIntensity(Tabular):
         number_texts = [
             f"{name} = {values[tip_index]:.4g}" for name, values in self.numbers.items()
         ]
-        return f"{', '.join(number_texts)} Pa m^0.5 at {self.tips[tip_index]}"
+        return f"{', '.join(number_texts)} Pa m^0.5 at {self.tip_names[tip_index]}"
 
 
 def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressIntensity:
@@ -213,13 +223,15 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     Examples
     --------
     >>> found = fc.stress_intensity(fc.solve(scene))
-    >>> found.largest, found.effective, found.turning_angles
+    >>> found.largest, found.effective, found.crack_kink_angles
     """
     check_run_has_motion(run)
     refuse_for_reason(reason_without_stress_intensity(run.scene), "run", repr(run))
-    tips, displacement_rows, force_rows = make_tips_and_intensity_rows(run)
-    [record] = run.result.yield_records_of_row_products(displacement_rows)
-    tip_histories = compute_crack_tip_histories(record, tips, force_rows, run.scene.growth)
+    tips, K_rows_of_displacement, K_rows_of_contact_forces = make_tips_and_intensity_rows(run)
+    [record] = run.result.yield_records_of_row_products(K_rows_of_displacement)
+    tip_histories = compute_crack_tip_histories(
+        record, tips, K_rows_of_contact_forces, run.scene.growth
+    )
     K_III_columns = [
         tip_history.K_III for tip_history in tip_histories if tip_history.K_III is not None
     ]

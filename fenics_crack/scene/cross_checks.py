@@ -97,7 +97,7 @@ Rules of the table "crack" are checked for each crack; "crack" in a condition is
 """
 MAX_BOX_SIDE_RATIO = 1e4
 """Maximum ratio of width or thickness to the height, or of the height to either side."""
-MIN_RELATIVE_DISTANCE_FROM_CRACK = 1e-4
+MIN_RELATIVE_CRACK_DISTANCE = 1e-4
 """Minimum distance between cracks, tips and edges, relative to the side along the distance."""
 
 
@@ -121,15 +121,15 @@ def check_tables(scene: SceneTables) -> None:
             scene.speed > 0.0, "order", "left out without a rotation.speed > 0"
         )
         object.__setattr__(scene, "excitation", scene.excitation.at_speed(scene.speed))
-    harmonic_balance = scene.harmonic_balance.with_load_harmonics(scene.highest_order)
+    harmonic_balance = scene.harmonic_balance.with_load_harmonics(scene.highest_load_harmonic)
     object.__setattr__(scene, "harmonic_balance", harmonic_balance)
     if scene.curve is not None:
         _check_curve_parameter(scene, scene.curve)
     if scene.structure is not None:
         _check_tables_beside_matrices(scene, scene.structure)
-    _set_vector_dimension(scene)
+    _fit_zero_vectors_to_dimension(scene)
     if scene.structure is None:
-        _check_shape(scene)
+        _check_body_loads_and_cracks(scene)
     if scene.disk is not None:
         _check_disk(scene, scene.disk)
 
@@ -141,9 +141,9 @@ def _check_presence_and_types(scene: SceneTables) -> None:
     """
     condition_by_excluded_table = {
         table_name: condition
-        for condition, table_names in EXCLUDED_TABLES_BY_CONDITION.items()
+        for condition, excluded_table_names in EXCLUDED_TABLES_BY_CONDITION.items()
         if condition_holds(condition, vars(scene))
-        for table_name in table_names
+        for table_name in excluded_table_names
     }
     for table_name, table_class in TABLE_CLASS_BY_NAME.items():
         table, condition = getattr(scene, table_name), condition_by_excluded_table.get(table_name)
@@ -237,7 +237,7 @@ def _check_tables_beside_matrices(scene: SceneTables, structure: kinds.Structure
         )
 
 
-def _set_vector_dimension(scene: SceneTables) -> None:
+def _fit_zero_vectors_to_dimension(scene: SceneTables) -> None:
     """Give zero vectors in all tables as many components as the scene has dimensions.
 
     A plane has 2, space has 3. The scene is changed in place. Raises InputError if a nonzero vector
@@ -254,21 +254,23 @@ def _set_vector_dimension(scene: SceneTables) -> None:
             object.__setattr__(scene, table_name, tuple(converted_tables))
         elif tables is not None:
             object.__setattr__(scene, table_name, tables.with_dimension(dimension))
-    for point in scene.output_points:
-        if len(point.values) != dimension:
+    for output_point in scene.output_points:
+        if len(output_point.values) != dimension:
             raise InputError(
-                f"output.points.{point.key}", point.values, describe_components("", dimension)
+                f"output.points.{output_point.key}",
+                output_point.values,
+                describe_components("", dimension),
             )
 
 
-def _check_shape(scene: SceneTables) -> None:
+def _check_body_loads_and_cracks(scene: SceneTables) -> None:
     """Check a plate or solid with load and cracks.
 
     Raises InputError for missing sides, load points or keys of a crack, and for points or cracks
     outside the body. Sides and cracks in a mesh file are not checked.
     """
     geometry, mesh, contact = scene.geometry, scene.mesh, scene.contact
-    is_box = geometry.file is None and mesh.layout != "file"
+    is_plate_or_box_by_sides = geometry.file is None and mesh.layout != "file"
     if scene.dimension == 3 and contact is not None and scene.disk is not None:
         contact.require(
             not contact.friction,
@@ -276,20 +278,24 @@ def _check_shape(scene: SceneTables) -> None:
             "0, or left out, with [disk] and geometry.kind = 'solid', for which"
             " friction is not implemented",
         )
-    if scene.dimension == 2 or is_box:
+    if scene.dimension == 2 or is_plate_or_box_by_sides:
         geometry.given("thickness")
     elif mesh.layout == "file":
         geometry.forbid_keys(("thickness",), "mesh.layout = 'file'")
     if mesh.layout == "file":
         return
-    if is_box:
+    if is_plate_or_box_by_sides:
         _check_sides(geometry)
     if not scene.has_other_loads:
-        place_text = (
-            "[x, y], or [x, y, z] in a solid" if is_box else "[x, y, z], on the part or near it"
+        force_point_format_text = (
+            "[x, y], or [x, y, z] in a solid"
+            if is_plate_or_box_by_sides
+            else "[x, y, z], on the part or near it"
         )
-        scene.excitation.given("point", f"given: the point of the force, {place_text} [m]")
-    if is_box:
+        scene.excitation.given(
+            "point", f"given: the point of the force, {force_point_format_text} [m]"
+        )
+    if is_plate_or_box_by_sides:
         _check_load_points(scene)
     for name, crack in scene.crack_by_name.items():
         with use_table_name_in_errors(name):
@@ -298,7 +304,7 @@ def _check_shape(scene: SceneTables) -> None:
                     "point", "given: a point [x, y, z] of the crack [m], with geometry.file"
                 )
             if crack.point is not None:
-                _check_plane_crack(crack)
+                _check_arbitrary_plane_crack_keys(crack)
             else:
                 _check_box_crack(crack, scene)
     if scene.crack_by_name:
@@ -309,8 +315,8 @@ def _check_shape(scene: SceneTables) -> None:
         if contact is None:
             raise missing_table_error("contact", ", as there is a crack")
     box_crack_names = [name for name, crack in scene.crack_by_name.items() if crack.point is None]
-    for first_name, second_name in combinations(box_crack_names, 2):
-        _check_crack_distance(scene, first_name, second_name)
+    for first_crack_name, second_crack_name in combinations(box_crack_names, 2):
+        _check_crack_distance(scene, first_crack_name, second_crack_name)
 
 
 def _check_disk(scene: SceneTables, disk: kinds.Disk) -> None:
@@ -338,7 +344,7 @@ def _check_disk(scene: SceneTables, disk: kinds.Disk) -> None:
     blade_width = scene.geometry.circumferential_width
     foot_spacing = 2.0 * outer_radius * math.sin(math.pi / disk.sectors)
     disk.require(
-        blade_width < foot_spacing * (1.0 - MIN_RELATIVE_DISTANCE_FROM_CRACK),
+        blade_width < foot_spacing * (1.0 - MIN_RELATIVE_CRACK_DISTANCE),
         "outer_radius",
         f"larger, as blades {blade_width:g} m wide would overlap: "
         f"their roots are {foot_spacing:g} m apart",
@@ -353,12 +359,17 @@ def _check_disk(scene: SceneTables, disk: kinds.Disk) -> None:
 
 def _check_sides(geometry: kinds.Geometry) -> None:
     """Raise InputError if a plate or box lacks a side, or has very different sides."""
-    width, height = geometry.given("width"), geometry.given("height")
-    for side_key, side in zip(("width", "thickness"), (width, *geometry.sides[2:]), strict=False):
+    plate_or_box_width, plate_or_box_height = geometry.given("width"), geometry.given("height")
+    for width_or_thickness_key, side in zip(
+        ("width", "thickness"), (plate_or_box_width, *geometry.sides[2:]), strict=False
+    ):
         geometry.require(
-            height / MAX_BOX_SIDE_RATIO <= side <= height * MAX_BOX_SIDE_RATIO,
-            side_key,
-            f"within a factor {MAX_BOX_SIDE_RATIO:g} of geometry.height = {height:g} m",
+            plate_or_box_height / MAX_BOX_SIDE_RATIO
+            <= side
+            <= plate_or_box_height * MAX_BOX_SIDE_RATIO,
+            width_or_thickness_key,
+            f"within a factor {MAX_BOX_SIDE_RATIO:g} of geometry.height = "
+            f"{plate_or_box_height:g} m",
         )
 
 
@@ -375,13 +386,18 @@ def _check_load_points(scene: SceneTables) -> None:
         if isinstance(load, kinds.Excitation | kinds.Load):
             with use_table_name_in_errors(name):
                 load.require(
-                    all(0.0 <= x <= side for x, side in zip(load.point or (), sides, strict=False)),
+                    all(
+                        0.0 <= load_point_coordinate <= side
+                        for load_point_coordinate, side in zip(
+                            load.point or (), sides, strict=False
+                        )
+                    ),
                     "point",
                     f"on the {scene.geometry.kind}: {ranges_text}",
                 )
 
 
-def _check_plane_crack(crack: kinds.Crack) -> None:
+def _check_arbitrary_plane_crack_keys(crack: kinds.Crack) -> None:
     """Raise InputError unless the keys define a crack around a point in a solid."""
     normal = np.array(crack.given("normal"))
     crack.require(any(normal), "normal", "a vector that is not zero")
@@ -433,7 +449,7 @@ def _check_box_crack(crack: kinds.Crack, scene: SceneTables) -> None:
             _is_inside_with_margin(crack.depth, thickness),
             "depth",
             f"less than geometry.thickness = {thickness:g} m, by at least "
-            f"{MIN_RELATIVE_DISTANCE_FROM_CRACK:g} of it; or left out for a crack through it",
+            f"{MIN_RELATIVE_CRACK_DISTANCE:g} of it; or left out for a crack through it",
         )
     if scene.mesh.layout == "grid":
         _check_crack_on_grid(crack, geometry, scene.mesh)
@@ -442,7 +458,7 @@ def _check_box_crack(crack: kinds.Crack, scene: SceneTables) -> None:
 def _check_crack_position(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
     """Raise InputError if a crack's position or length is missing, or leaves the plate."""
     (width, height, *_), geometry_kind = geometry.sides, geometry.kind
-    margin_text = f"and at least {MIN_RELATIVE_DISTANCE_FROM_CRACK:g} of this length from both"
+    margin_text = f"and at least {MIN_RELATIVE_CRACK_DISTANCE:g} of this length from both"
     if crack.center is None:
         crack.given(
             "edge", f"given: 'left' or 'right'; or center, for a crack inside the {geometry_kind}"
@@ -484,15 +500,18 @@ def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kin
     crack.given("length", "given: a finite number > 0 [m]; a grid cannot have crack.first_omega")
     (width, height), n_columns = geometry.sides, mesh.given("columns")
     extent_and_cells_by_key = {"length": (width, n_columns), "height": (height, mesh.given("rows"))}
-    for extent_key, (extent, n_cells) in extent_and_cells_by_key.items():
-        n_crack_cells = getattr(crack, extent_key) / extent * n_cells
+    for crack_length_or_height_key, (extent, n_cells) in extent_and_cells_by_key.items():
+        crack_length_or_height_in_cells = (
+            getattr(crack, crack_length_or_height_key) / extent * n_cells
+        )
         is_on_grid_line = (
-            0 < round(n_crack_cells) < n_cells
-            and abs(n_crack_cells - round(n_crack_cells)) < 1e-9 * n_cells
+            0 < round(crack_length_or_height_in_cells) < n_cells
+            and abs(crack_length_or_height_in_cells - round(crack_length_or_height_in_cells))
+            < 1e-9 * n_cells
         )
         crack.require(
             is_on_grid_line,
-            extent_key,
+            crack_length_or_height_key,
             f"a whole number of grid cells of {extent / n_cells:g} m, at least one cell from each "
             "end",
         )
@@ -505,7 +524,9 @@ def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kin
         )
 
 
-def _check_crack_distance(scene: SceneTables, first_name: str, second_name: str) -> None:
+def _check_crack_distance(
+    scene: SceneTables, first_crack_name: str, second_crack_name: str
+) -> None:
     """Raise InputError if two cracks are too close.
 
     For cracks at the same height, the distance between the tips is at least 1e-4 times the plate's
@@ -513,25 +534,25 @@ def _check_crack_distance(scene: SceneTables, first_name: str, second_name: str)
     height.
     """
     first_crack, second_crack = (
-        scene.crack_by_name[crack_name] for crack_name in (first_name, second_name)
+        scene.crack_by_name[crack_name] for crack_name in (first_crack_name, second_crack_name)
     )
     width, height, *_ = scene.geometry.sides
     height_distance = abs(first_crack.given("height") - second_crack.given("height"))
-    if height_distance >= MIN_RELATIVE_DISTANCE_FROM_CRACK * height:
+    if height_distance >= MIN_RELATIVE_CRACK_DISTANCE * height:
         return
     has_same_height = height_distance <= 1e-9 * height
     spans = sorted(crack.span(width) for crack in (first_crack, second_crack))
     ligament = spans[1][0] - spans[0][1]
-    if not has_same_height or ligament < MIN_RELATIVE_DISTANCE_FROM_CRACK * width:
-        min_distance_text = f"{MIN_RELATIVE_DISTANCE_FROM_CRACK * height:g} m above or below"
+    if not has_same_height or ligament < MIN_RELATIVE_CRACK_DISTANCE * width:
+        min_distance_text = f"{MIN_RELATIVE_CRACK_DISTANCE * height:g} m above or below"
         if has_same_height:
             min_distance_text += (
-                f", or with {MIN_RELATIVE_DISTANCE_FROM_CRACK * width:g} m between the tips"
+                f", or with {MIN_RELATIVE_CRACK_DISTANCE * width:g} m between the tips"
             )
         raise InputError(
-            f"{second_name}.height",
+            f"{second_crack_name}.height",
             second_crack.height,
-            f"farther from {first_name}.height = {first_crack.height:g} m, as cracks "
+            f"farther from {first_crack_name}.height = {first_crack.height:g} m, as cracks "
             f"may not touch: at least {min_distance_text}",
         )
 
@@ -542,7 +563,7 @@ def _is_inside_with_margin(coordinate: float, extent: float) -> bool:
     The distance to both ends must be at least 1e-4 of the extent.
     """
     return (
-        MIN_RELATIVE_DISTANCE_FROM_CRACK * extent
+        MIN_RELATIVE_CRACK_DISTANCE * extent
         <= coordinate
-        <= (1.0 - MIN_RELATIVE_DISTANCE_FROM_CRACK) * extent
+        <= (1.0 - MIN_RELATIVE_CRACK_DISTANCE) * extent
     )

@@ -61,14 +61,14 @@ class Axis:
         return f"{_value_as_toml(self.key)} = {_value_as_toml(self.values)}"
 
 
-class NamedPoint(Axis):
+class OutputPoint(Axis):
     """Point in ``[output.points]`` at which the displacement is reported.
 
     ``key`` is the name, ``values`` are the coordinates x, y and, in a solid, z [m].
     """
 
 
-class FacePoints(Axis):
+class NamedCadFace(Axis):
     """Named faces of a CAD part, in ``[geometry.faces]``.
 
     ``key`` is the name, ``values`` are points (x, y, z) [m] on the faces.
@@ -83,7 +83,7 @@ class MeshFile(Axis):
     """
 
     @property
-    def number_by_name(self) -> dict[str, float]:
+    def parameter_value_by_name(self) -> dict[str, float]:
         """Values of the unknowns by name."""
         return dict(self.values)
 
@@ -218,7 +218,7 @@ def _read_mesh_parameter_pairs(
     )
 
 
-def _read_harmonics(value: object) -> tuple[Harmonic, ...]:
+def _read_load_harmonics(value: object) -> tuple[Harmonic, ...]:
     """Convert a list of harmonic tables to a tuple of harmonics.
 
     Raises TypeError if two orders are equal.
@@ -240,12 +240,15 @@ def _read_harmonic(harmonic_table: object) -> Harmonic:
     """
     if not isinstance(harmonic_table, Mapping) or "order" not in harmonic_table:
         raise TypeError
-    order, component_keys = _read_int(harmonic_table["order"]), harmonic_table.keys() - {"order"}
-    if not 1 <= order <= MAX_HARMONIC_ORDER or not component_keys:
+    order, keys_besides_order = (
+        _read_int(harmonic_table["order"]),
+        harmonic_table.keys() - {"order"},
+    )
+    if not 1 <= order <= MAX_HARMONIC_ORDER or not keys_besides_order:
         raise TypeError
-    if component_keys <= {"cos", "sin"}:
+    if keys_besides_order <= {"cos", "sin"}:
         components_by_key = {
-            key: _read_load_components(harmonic_table[key]) for key in component_keys
+            key: _read_load_components(harmonic_table[key]) for key in keys_besides_order
         }
         zero_components, *zeros_of_other_lengths = {
             (0.0,) * len(load_components) for load_components in components_by_key.values()
@@ -257,7 +260,7 @@ def _read_harmonic(harmonic_table: object) -> Harmonic:
             components_by_key.get("cos", zero_components),
             components_by_key.get("sin", zero_components),
         )
-    if "amplitude" not in component_keys or not component_keys <= {"amplitude", "phase"}:
+    if "amplitude" not in keys_besides_order or not keys_besides_order <= {"amplitude", "phase"}:
         raise TypeError
     phase = math.radians(_read_float(harmonic_table.get("phase", 0.0)))
     amplitude = _read_load_components(harmonic_table["amplitude"])
@@ -305,7 +308,7 @@ def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
         )
     except (KeyError, TypeError, OverflowError, InputError):
         is_valid_range = False
-    key_suffix = f'."{name}"'  # behind the name of the key: Table.convert_value
+    error_key_suffix = f'."{name}"'  # behind the name of the key: Table.convert_value
     if not is_valid_range or spacing not in ("linear", "logarithmic"):
         requirement_text = (
             "a list of values, or a table with start, stop, count (2 to 1e6) and, optionally,"
@@ -313,12 +316,12 @@ def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
         )
         if range_table and not range_table.keys() & {"start", "stop", "count"}:
             requirement_text += f'; did you mean "{name}.{next(iter(range_table))}", in quotes?'
-        raise InputError(key_suffix, values_or_range, requirement_text)
+        raise InputError(error_key_suffix, values_or_range, requirement_text)
     if spacing == "linear":
         return tuple(map(float, np.linspace(start, stop, n_values)))
     if start * stop <= 0.0:
         raise InputError(
-            key_suffix,
+            error_key_suffix,
             values_or_range,
             "a range with start and stop both > 0 or both < 0, for that spacing",
         )
@@ -339,17 +342,17 @@ _READ_FUNCTION_BY_TYPE_NAME: dict[str, Callable[[object], Any]] = {
     "float | tuple[float, ...]": _read_number_or_numbers,
     "int | str": lambda value: value if value == "all" else _read_int(value),
     "tuple[Axis, ...]": _make_axes_read_function(Axis, _read_axis_values),
-    "tuple[FacePoints, ...]": _make_axes_read_function(
-        FacePoints,
+    "tuple[NamedCadFace, ...]": _make_axes_read_function(
+        NamedCadFace,
         lambda _, given: tuple(
             _read_vector(point, (3,)) for point in _require_instance(list | tuple, given)
         ),
     ),
     "tuple[MeshFile, ...]": _make_axes_read_function(MeshFile, _read_mesh_parameter_pairs),
-    "tuple[NamedPoint, ...]": _make_axes_read_function(
-        NamedPoint, lambda _, given: _read_vector(given)
+    "tuple[OutputPoint, ...]": _make_axes_read_function(
+        OutputPoint, lambda _, given: _read_vector(given)
     ),
-    "tuple[Harmonic, ...]": _read_harmonics,
+    "tuple[Harmonic, ...]": _read_load_harmonics,
     "tuple[float, ...]": _read_floats,
     "tuple[int, ...]": _read_distinct_ints,
     "tuple[str, ...]": lambda value: tuple(
@@ -365,9 +368,9 @@ _JSON_TYPE_BY_TYPE_NAME = {
     "int": "integer",
     "str": "string",
     "tuple[Axis, ...]": "object",
-    "tuple[FacePoints, ...]": "object",
+    "tuple[NamedCadFace, ...]": "object",
     "tuple[MeshFile, ...]": "object",
-    "tuple[NamedPoint, ...]": "object",
+    "tuple[OutputPoint, ...]": "object",
 }
 """JSON types by Python types; all other types are arrays."""
 
@@ -380,7 +383,7 @@ def _find_read_function(key_field: Field[Any]) -> Callable[[object], Any]:
 # --- what a key may hold --------------------------------------------------------------------------
 
 
-def value_field(
+def any_type_field(
     requirement_text: str,
     is_allowed: Callable[[Any], bool] = lambda value: True,
     default: Any = MISSING,
@@ -409,19 +412,19 @@ def value_field(
 
 def number_field(default: Any = MISSING, unit: str = "") -> Any:
     """Return a field for a finite number, 0 or of magnitude 1e-30 to 1e30."""
-    return value_field(f"a finite number {ZERO_OR_MAGNITUDE_TEXT}", default=default, unit=unit)
+    return any_type_field(f"a finite number {ZERO_OR_MAGNITUDE_TEXT}", default=default, unit=unit)
 
 
 def positive_field(default: Any = MISSING, unit: str = "") -> Any:
     """Return a field for a number > 0, from 1e-30 to 1e30."""
-    return value_field(
+    return any_type_field(
         f"a finite number > 0 ({ALLOWED_MAGNITUDES_TEXT})", lambda value: value > 0, default, unit
     )
 
 
 def nonnegative_field(default: Any = MISSING, unit: str = "") -> Any:
     """Return a field for a number >= 0, at most 1e30."""
-    return value_field(
+    return any_type_field(
         f"a finite number >= 0 {ZERO_OR_MAGNITUDE_TEXT}", lambda value: value >= 0, default, unit
     )
 
@@ -433,7 +436,7 @@ def bounded_field(lower_text: str, upper_text: str, default: Any, unit: str = ""
     unchanged.
     """
     lower_bound, upper_bound = float(lower_text), float(upper_text)
-    return value_field(
+    return any_type_field(
         f"a number from {lower_text} to {upper_text}",
         lambda value: lower_bound <= value <= upper_bound,
         default,
@@ -441,35 +444,39 @@ def bounded_field(lower_text: str, upper_text: str, default: Any, unit: str = ""
     )
 
 
-def vector_value_field(
-    component_letter: str, default: Any = None, unit: str = "", *, of_solid: bool = False
+def vector_key_field(
+    component_name_prefix: str, default: Any = None, unit: str = "", *, of_solid: bool = False
 ) -> Any:
     """Return a field for a vector with 2 or 3 components.
 
-    Errors name the components by ``component_letter`` and x, y, z: "fx". If ``of_solid`` is True,
-    errors ask for three components, since only solids have the key.
+    Errors name the components by ``component_name_prefix`` and x, y, z: "fx". If ``of_solid`` is
+    True, errors ask for three components, since only solids have the key.
     """
-    requirement_text = describe_components(component_letter, 3 if of_solid else 2)
+    requirement_text = describe_components(component_name_prefix, 3 if of_solid else 2)
     if not of_solid:
-        requirement_text += f", or {_format_component_names(component_letter, 3)} in a solid"
-    return value_field(requirement_text, default=default, unit=unit, letter=component_letter)
+        requirement_text += f", or {_format_component_names(component_name_prefix, 3)} in a solid"
+    return any_type_field(
+        requirement_text, default=default, unit=unit, letter=component_name_prefix
+    )
 
 
-def describe_components(component_letter: str, dimension: int) -> str:
+def describe_components(component_name_prefix: str, dimension: int) -> str:
     """Describe an allowed vector in 2 or 3 dimensions: "[fx, fy], two finite numbers"."""
     count_word = ("two", "three")[dimension - 2]
-    names_text = _format_component_names(component_letter, dimension)
+    names_text = _format_component_names(component_name_prefix, dimension)
     return f"{names_text}, {count_word} finite numbers {ZERO_OR_MAGNITUDE_TEXT}"
 
 
-def _format_component_names(component_letter: str, dimension: int) -> str:
+def _format_component_names(component_name_prefix: str, dimension: int) -> str:
     """Return the component names as a text: "[fx, fy]"."""
-    return f"[{', '.join(component_letter + axis_letter for axis_letter in 'xyz'[:dimension])}]"
+    return (
+        f"[{', '.join(component_name_prefix + axis_letter for axis_letter in 'xyz'[:dimension])}]"
+    )
 
 
-def harmonics_field() -> Any:
+def load_harmonic_list_field() -> Any:
     """Return a field for a load's list of harmonics; the default is empty."""
-    return value_field(
+    return any_type_field(
         f"a list of tables: each has a different order from 1 to {MAX_HARMONIC_ORDER}, and cos or"
         " sin or both, or amplitude and, optionally, phase (the lag in degrees)",
         default=(),
@@ -478,7 +485,7 @@ def harmonics_field() -> Any:
 
 def harmonic_order_field(default: int) -> Any:
     """Return a field for a whole number from 1 to MAX_HARMONIC_ORDER."""
-    return value_field(
+    return any_type_field(
         f"a whole number from 1 to {MAX_HARMONIC_ORDER}",
         lambda value: 1 <= value <= MAX_HARMONIC_ORDER,
         default,
@@ -487,12 +494,14 @@ def harmonic_order_field(default: int) -> Any:
 
 def positive_int_field(default: Any = MISSING) -> Any:
     """Return a field for a whole number >= 1."""
-    return value_field("a whole number >= 1", lambda value: value >= 1, default)
+    return any_type_field("a whole number >= 1", lambda value: value >= 1, default)
 
 
 def choice_field(*words: str, default: Any = MISSING) -> Any:
     """Return a field for one of the given words."""
-    return value_field(describe_choices(words), lambda value: value in words, default, words=words)
+    return any_type_field(
+        describe_choices(words), lambda value: value in words, default, words=words
+    )
 
 
 def hertz_field(
@@ -523,9 +532,9 @@ def twin_field(
     factor : float
         Factor from the twin's unit to the SI unit.
     requirement_text, is_allowed, unit
-        As in :func:`value_field`, for the twin.
+        As in :func:`any_type_field`, for the twin.
     """
-    return value_field(requirement_text, is_allowed, None, unit, twin=si_key, factor=factor)
+    return any_type_field(requirement_text, is_allowed, None, unit, twin=si_key, factor=factor)
 
 
 def path_field(requirement_text: str, default: Any = None, unit: str = "") -> Any:
@@ -534,7 +543,7 @@ def path_field(requirement_text: str, default: Any = None, unit: str = "") -> An
     The path must not be empty. A relative path begins at the scene's folder. If the field's type
     has numbers, a number may replace the path.
     """
-    return value_field(requirement_text, lambda value: value != "", default, unit, path=True)
+    return any_type_field(requirement_text, lambda value: value != "", default, unit, path=True)
 
 
 def scale_numbers(number_or_tuple: Any, factor: float) -> Any:
@@ -548,8 +557,8 @@ def _value_as_toml(value: object) -> str:
     """Return a value as TOML text; a harmonic becomes an inline table."""
     if isinstance(value, Harmonic):
         pairs_text = ", ".join(
-            f"{attribute_name} = {_value_as_toml(attribute_value)}"
-            for attribute_name, attribute_value in vars(value).items()
+            f"{harmonic_attribute_name} = {_value_as_toml(harmonic_attribute_value)}"
+            for harmonic_attribute_name, harmonic_attribute_value in vars(value).items()
         )
         return f"{{ {pairs_text} }}"
     if isinstance(value, tuple):
@@ -563,9 +572,9 @@ def use_table_name_in_errors(table_name: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        key_in_table = error.key.partition(".")[2]
+        key_without_table_name = error.key.partition(".")[2]
         raise InputError(
-            f"{table_name}.{key_in_table}" if key_in_table else table_name,
+            f"{table_name}.{key_without_table_name}" if key_without_table_name else table_name,
             error.value,
             error.allowed,
         ) from None
@@ -651,9 +660,15 @@ class Table:
         """
         zero_vector_by_key = {}
         for key, key_field in self.field_by_key().items():
-            component_letter, vector = key_field.metadata.get("letter"), getattr(self, key)
-            if component_letter is not None and vector is not None and len(vector) != dimension:
-                self.require(not any(vector), key, describe_components(component_letter, dimension))
+            component_name_prefix, vector = key_field.metadata.get("letter"), getattr(self, key)
+            if (
+                component_name_prefix is not None
+                and vector is not None
+                and len(vector) != dimension
+            ):
+                self.require(
+                    not any(vector), key, describe_components(component_name_prefix, dimension)
+                )
                 zero_vector_by_key[key] = (0.0,) * dimension
         return self.with_unchecked_values(**zero_vector_by_key)
 
@@ -690,12 +705,12 @@ class Table:
             if not rule.allowed_choices:
                 self.forbid_keys(rule.keys, circumstance)
                 continue
-            choices_text = " or ".join(map(repr, rule.allowed_choices))
+            allowed_values_text = " or ".join(map(repr, rule.allowed_choices))
             for key in rule.keys:
                 self.require(
                     getattr(self, key) in (None, *rule.allowed_choices),
                     key,
-                    f"{choices_text} {add_preposition(circumstance)}",
+                    f"{allowed_values_text} {add_preposition(circumstance)}",
                 )
 
     @classmethod
@@ -750,11 +765,12 @@ class Table:
         """Return a JSON schema of the table's keys: types, choices, defaults, descriptions."""
         schema_by_key: dict[str, Any] = {}
         for key, key_field in cls.field_by_key().items():
-            type_names = str(key_field.type).removesuffix(" | None").split(" | ")
+            python_type_names = str(key_field.type).removesuffix(" | None").split(" | ")
             json_types = [
-                _JSON_TYPE_BY_TYPE_NAME.get(type_name, "array") for type_name in type_names
+                _JSON_TYPE_BY_TYPE_NAME.get(python_type_name, "array")
+                for python_type_name in python_type_names
             ]
-            if "tuple[int, ...]" in type_names:  # one number stands for a list of it
+            if "tuple[int, ...]" in python_type_names:  # one number stands for a list of it
                 json_types.append("integer")
             schema_by_key[key] = {"type": json_types, "description": key_field.metadata["allowed"]}
             if "words" in key_field.metadata:
@@ -828,7 +844,7 @@ class Table:
         return f"{table_name}.{key}" if key else table_name
 
     @classmethod
-    def full_key_to_suggest(cls, key: str) -> str:
+    def full_key_in_first_table(cls, key: str) -> str:
         """Return a full key as errors suggest it: "excitation.omega".
 
         For a list of tables, the key belongs to the first table: "loads.1.point".
@@ -895,7 +911,7 @@ class Table:
             *(table_class for table_class in Table.__subclasses__() if table_class is not cls),
         ]
         own_full_keys = [
-            cls.full_key_to_suggest(known_key)
+            cls.full_key_in_first_table(known_key)
             for known_key in find_similar_names(key, cls.field_by_key())
         ]
         if suggested_full_keys := own_full_keys or find_full_keys(key, table_classes):
@@ -906,7 +922,7 @@ class Table:
             for known_key in table_class.field_by_key()
         }
         return [
-            table_class_by_key[known_key].full_key_to_suggest(known_key)
+            table_class_by_key[known_key].full_key_in_first_table(known_key)
             for known_key in find_similar_names(key, table_class_by_key, 0.8)
         ]
 
@@ -982,4 +998,4 @@ def find_full_keys(key: str, table_classes: Iterable[type[Table]]) -> list[str]:
         table_class for table_class in table_classes if key in table_class.field_by_key()
     ]
     classes_with_key.sort(key=lambda table_class: table_class.field_by_key()[key].default == ())
-    return [table_class.full_key_to_suggest(key) for table_class in classes_with_key]
+    return [table_class.full_key_in_first_table(key) for table_class in classes_with_key]

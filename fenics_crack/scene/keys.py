@@ -11,21 +11,31 @@ from fenics_crack.basics.suggestions import (
     did_you_mean_text,
     find_similar_names,
     find_similar_or_longer_names,
+    keep_old_attribute_names,
 )
 from fenics_crack.scene import result_tables
 from fenics_crack.scene import tables as kinds
 from fenics_crack.scene.fields import (
     Axis,
-    NamedPoint,
+    OutputPoint,
     Table,
     find_full_keys,
     use_table_name_in_errors,
 )
 
-RESULT_TABLE_NAMES = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
+RESULT_SETTINGS_TABLE_NAMES = (
+    "curve",
+    "integration",
+    "sweep",
+    "growth",
+    "identify",
+    "tip_timing",
+    "output",
+)
 """Tables that only choose results and do not change the structure or its load."""
 
 
+@keep_old_attribute_names(highest_order="highest_load_harmonic")
 @dataclass(frozen=True, repr=False)
 class SceneTables:
     """Tables of a scene, with derived properties.
@@ -108,11 +118,11 @@ class SceneTables:
         return contact_has_friction or any(self.swept_values_by_key.get("contact.friction", ()))
 
     @property
-    def highest_order(self) -> int:
+    def highest_load_harmonic(self) -> int:
         """Highest multiple of the excitation frequency in any load."""
         periodic_loads: list[kinds.PeriodicLoad | None] = [self.excitation, *self.loads, self.base]
         return max(
-            periodic_load.highest_order
+            periodic_load.highest_load_harmonic
             for periodic_load in periodic_loads
             if periodic_load is not None
         )
@@ -131,7 +141,7 @@ class SceneTables:
         return 0.0 if self.rotation is None else self.rotation.speed
 
     @property
-    def output_points(self) -> tuple[NamedPoint, ...]:
+    def output_points(self) -> tuple[OutputPoint, ...]:
         """Points in ``[output.points]``; empty without such points."""
         return () if self.output is None else self.output.points
 
@@ -147,12 +157,12 @@ def missing_table_error(table_name: str, circumstance: str = "") -> InputError:
     ``circumstance`` is text appended to the requirement: ", which this command needs".
     """
     keys_text = ", ".join(TABLE_CLASS_BY_NAME[table_name].required_keys())
-    requirement_text = f"given: a table [{table_name}]"
+    required_table_text = f"given: a table [{table_name}]"
     if keys_text:
-        requirement_text += f" with {keys_text}"
+        required_table_text += f" with {keys_text}"
     elif not circumstance:
-        requirement_text += ", as fenics-crack new FILE writes it"
-    return InputError(table_name, None, requirement_text + circumstance)
+        required_table_text += ", as fenics-crack new FILE writes it"
+    return InputError(table_name, None, required_table_text + circumstance)
 
 
 def known_keys() -> list[str]:
@@ -225,15 +235,15 @@ def _make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
         )
     if not isinstance(raw_tables, list | tuple):
         raise InputError(table_name, raw_tables, f"a list of tables headed [[{table_name}]]")
-    tables = []
+    made_tables = []
     for list_position, raw_table in enumerate(raw_tables, 1):
         with use_table_name_in_errors(f"{table_name}.{list_position}"):
-            tables.append(
+            made_tables.append(
                 raw_table
                 if isinstance(raw_table, table_class)
                 else table_class.from_mapping(raw_table)
             )
-    return tuple(tables)
+    return tuple(made_tables)
 
 
 def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, str]:
@@ -255,13 +265,13 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
             or list_position is not None
             or table_name not in (*OPTIONAL_TABLE_NAMES, *LIST_TABLE_NAMES)
         ):
-            removable_names = ", ".join((*OPTIONAL_TABLE_NAMES, *LIST_TABLE_NAMES))
+            removable_table_names = ", ".join((*OPTIONAL_TABLE_NAMES, *LIST_TABLE_NAMES))
             first_key = next(key for key in known_keys() if key.startswith(f"{table_name}."))
             raise InputError(
                 full_key,
                 "none" if value is None else value,
                 f"changed key by key, as {first_key}=...; only these tables can be "
-                f"removed, by TABLE=none (in Python None): {removable_names}",
+                f"removed, by TABLE=none (in Python None): {removable_table_names}",
             )
     elif (list_position is None) == (table_name in LIST_TABLE_NAMES):
         known_keys_text = ", ".join(
@@ -269,10 +279,12 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
         )
         raise InputError(full_key, value, f"left out; known keys: {known_keys_text}")
     elif key_in_table not in table_class.field_by_key():
-        parent_key, _, subkey = key_in_table.replace('"', "").partition(".")
-        if parent_key in table_class.field_by_key() and subkey:
+        key_before_subkey, _, subkey = key_in_table.replace('"', "").partition(".")
+        if key_before_subkey in table_class.field_by_key() and subkey:
             raise InputError(
-                full_key, value, f'changed as a whole: {table_name}.{parent_key}={{"{subkey}"=...}}'
+                full_key,
+                value,
+                f'changed as a whole: {table_name}.{key_before_subkey}={{"{subkey}"=...}}',
             )
         raise InputError(full_key, value, table_class.unknown_key_text(key_in_table))
     return table_name, list_position, key_in_table
@@ -373,7 +385,7 @@ def _suggest_keys(misspelt_name: str) -> list[str]:
         return TABLE_CLASS_BY_NAME[table_name].suggest_keys(key_in_table) if key_in_table else []
     if key_in_table:
         all_keys = {
-            table_class.full_key_to_suggest(key_in_table)
+            table_class.full_key_in_first_table(key_in_table)
             for table_class in TABLE_CLASS_BY_NAME.values()
             for key_in_table in table_class.field_by_key()
         }
@@ -444,11 +456,11 @@ def check_and_convert_axes(
             )
         seen_keys.add(axis.key)
         table_class = TABLE_CLASS_BY_NAME[table_name]
-        name_in_errors = axis.key.removesuffix(f".{key_in_table}")
-        twin_key = f"{name_in_errors}.{table_class.twin_key_by_key().get(key_in_table)}"
+        table_name_in_errors = axis.key.removesuffix(f".{key_in_table}")
+        twin_key = f"{table_name_in_errors}.{table_class.twin_key_by_key().get(key_in_table)}"
         if twin_key in seen_keys:
             raise InputError(axes_key, axis.key, f"left out with {twin_key}: give one of the two")
-        with use_table_name_in_errors(name_in_errors):
+        with use_table_name_in_errors(table_name_in_errors):
             axis_values = tuple(
                 table_class.convert_value(key_in_table, axis_value) for axis_value in axis.values
             )
@@ -479,12 +491,12 @@ PATH_KEYS = tuple(
 """Full keys whose value is a file's path."""
 AXES_TABLE_KEY_PAIRS = ("sweep", "over"), ("identify", "unknown")
 """(table, key) pairs whose value is a tuple of :class:`Axis`."""
-KEYS_WITH_PATHS = (
+KEYS_THAT_MAY_CONTAIN_PATHS = (
     *PATH_KEYS,
     *(f"{name}.{key}" for name, key in AXES_TABLE_KEY_PAIRS),
     "identify.meshes",
 )
 """Full keys whose values may contain paths: single paths, axes and mesh files."""
 _SWEEPABLE_TABLE_NAMES = tuple(
-    name for name in TABLE_CLASS_BY_NAME if name not in RESULT_TABLE_NAMES
+    name for name in TABLE_CLASS_BY_NAME if name not in RESULT_SETTINGS_TABLE_NAMES
 )

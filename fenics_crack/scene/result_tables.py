@@ -18,9 +18,10 @@ from fenics_crack.scene.fields import (
     ALLOWED_MAGNITUDES_TEXT,
     Axis,
     MeshFile,
-    NamedPoint,
+    OutputPoint,
     Rule,
     Table,
+    any_type_field,
     bounded_field,
     choice_field,
     nonnegative_field,
@@ -28,13 +29,12 @@ from fenics_crack.scene.fields import (
     path_field,
     positive_field,
     positive_int_field,
-    value_field,
 )
 from fenics_crack.scene.tables import Crack
 
-MAX_ALLOWED_OUTPUT_POINTS = 100
+MAX_NAMED_OUTPUT_POINTS = 100
 """Maximum number of points in ``[output.points]``: each is computed, printed and written."""
-MIN_ALLOWED_VALUES_PER_UNKNOWN = 4
+MIN_GRID_VALUES_PER_UNKNOWN = 4
 """Minimum number of values for an unknown in [identify], for interpolation between them."""
 
 
@@ -63,7 +63,7 @@ class Curve(Table):
     frequency. The load factor leaves the mean load unchanged. In a bladed disk the watched blade is
     at resonance.
     """
-    stability: bool = value_field("true or false", default=True)
+    stability: bool = any_type_field("true or false", default=True)
     """Compute Floquet multipliers and period doublings along the curve."""
 
     def __post_init__(self) -> None:
@@ -142,7 +142,7 @@ class Integration(Table):
 
     The static load is the mean plus the sum of cosine and sine parts times this factor.
     """
-    free: bool = value_field("true or false", default=False)
+    free: bool = any_type_field("true or false", default=False)
     """Free decay: only the mean load acts. All periods are recorded."""
 
 
@@ -157,12 +157,12 @@ class Sweep(Table):
         "crack.length" = [0.02, 0.03, 0.04]
     """
 
-    over: tuple[Axis, ...] = value_field(
+    over: tuple[Axis, ...] = any_type_field(
         "a table with keys of the scene and lists of values, 'crack.length' = [0.02, 0.03]",
         lambda value: value,
     )
     """Keys with lists of values, or start, stop, count and ``spacing = "logarithmic"``."""
-    at_resonance: bool = value_field("true or false", default=False)
+    at_resonance: bool = any_type_field("true or false", default=False)
     """Solve each case at the resonance nearest to the excitation's frequency."""
 
     @property
@@ -214,7 +214,7 @@ class Growth(Table):
     "resonance": the load follows the largest response. "spectrum": the load passes through the
     ``frequencies`` again and again.
     """
-    frequencies: tuple[float, ...] | None = value_field(
+    frequencies: tuple[float, ...] | None = any_type_field(
         "a list of different numbers > 0",
         lambda frequencies: (
             len(set(frequencies)) == len(frequencies) > 0 and min(frequencies) > 0.0
@@ -223,7 +223,7 @@ class Growth(Table):
         unit="Hz",
     )
     """Load frequencies of the spectrum [Hz], with ``drive = "spectrum"``."""
-    cycles: tuple[float, ...] | None = value_field(
+    cycles: tuple[float, ...] | None = any_type_field(
         "a list of numbers > 0", lambda cycles: len(cycles) > 0 and min(cycles) > 0.0, None
     )
     """Number of load cycles at each frequency, in one repeat of the spectrum."""
@@ -256,8 +256,8 @@ class Growth(Table):
         if self.cycles is None or self.frequencies is None:
             return None
         repeat_duration = sum(
-            n_cycles / frequency
-            for n_cycles, frequency in zip(self.cycles, self.frequencies, strict=True)
+            n_cycles_at_frequency / frequency
+            for n_cycles_at_frequency, frequency in zip(self.cycles, self.frequencies, strict=True)
         )
         return sum(self.cycles), repeat_duration
 
@@ -283,7 +283,7 @@ class Identify(Table):
         "blade_20.msh" = { "crack.length" = 0.020 }
     """
 
-    unknown: tuple[Axis, ...] = value_field(
+    unknown: tuple[Axis, ...] = any_type_field(
         "a table with keys of the scene and the values between which these are sought", default=()
     )
     """Unknown keys, each with at least 4 ascending numbers at which the model is solved.
@@ -291,7 +291,7 @@ class Identify(Table):
     Instead of numbers: start, stop, count and ``spacing = "logarithmic"``, or words,
     ``"crack.edge" = ["left", "right"]``. May be left out with ``meshes``.
     """
-    meshes: tuple[MeshFile, ...] = value_field(
+    meshes: tuple[MeshFile, ...] = any_type_field(
         'a table of .msh files and their numbers, "blade_05.msh" = { "crack.length" = 0.005 }',
         default=(),
     )
@@ -302,7 +302,7 @@ class Identify(Table):
     """
     uncracked: str | None = path_field("the path of a .msh file")
     """Mesh of the same structure without the crack, if meshes are read from files."""
-    frequencies: tuple[float, ...] = value_field(
+    frequencies: tuple[float, ...] = any_type_field(
         "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
     )
     """Load frequencies [Hz], besides the excitation's, for which measurements are planned."""
@@ -351,7 +351,7 @@ class Identify(Table):
     to 0.05 for plates 15 times as tall as wide, 0.07 for five times, 0.12 for three, 0.18 for two
     and 0.29 for squares (benchmarks/identification_limits.py in commit 981867df).
     """
-    temperature_deviation: float | None = value_field(
+    temperature_deviation: float | None = any_type_field(
         "a number from 0 to 1000", lambda value: 0.0 <= value <= 1000.0, None, unit="K"
     )
     """Standard deviation of the temperature difference since the measurement without a crack.
@@ -437,85 +437,104 @@ class Identify(Table):
         if not self.unknown and not self.meshes:
             allowed_text = self.field_by_key()["unknown"].metadata["allowed"]
             raise InputError("identify.unknown", None, f"given: {allowed_text}")
-        self._check_meshes()
+        self._check_meshes_form_full_grid()
         for axis in self.unknown:
             word_flags = [isinstance(value, str) for value in axis.values]
             has_enough_numbers = (
-                not any(word_flags) and len(axis.values) >= MIN_ALLOWED_VALUES_PER_UNKNOWN
+                not any(word_flags) and len(axis.values) >= MIN_GRID_VALUES_PER_UNKNOWN
             )
             if not (all(word_flags) or (has_enough_numbers and np.all(np.diff(axis.values) > 0))):
                 raise InputError(
                     f'identify.unknown."{axis.key}"',
                     axis.values,
-                    f"words, or {MIN_ALLOWED_VALUES_PER_UNKNOWN} or more numbers in ascending "
-                    "order",
+                    f"words, or {MIN_GRID_VALUES_PER_UNKNOWN} or more numbers in ascending order",
                 )
 
-    def _check_meshes(self) -> None:
+    def _check_meshes_form_full_grid(self) -> None:
         """Raise InputError if ``meshes`` is not a full grid of parameter values.
 
         All meshes have the same parameters, each with 4 or more values. Each combination of values
         has exactly one mesh.
         """
-        allowed_names = {
-            Crack.full_key(crack_key)
-            for crack_key, key_field in Crack.field_by_key().items()
+        allowed_crack_keys = {
+            Crack.full_key(key_in_crack_table)
+            for key_in_crack_table, key_field in Crack.field_by_key().items()
             if key_field.metadata["unit"] == "m"
         } - {axis.key for axis in self.unknown}
-        for mesh_file in self.meshes:
-            error_key = f'identify.meshes."{mesh_file.key}"'
-            parameter_names = list(mesh_file.number_by_name)
-            if {*parameter_names} != {*self.meshes[0].number_by_name} or not parameter_names:
+        for mesh_file_entry in self.meshes:
+            error_key = f'identify.meshes."{mesh_file_entry.key}"'
+            parameter_names = list(mesh_file_entry.parameter_value_by_name)
+            if {*parameter_names} != {
+                *self.meshes[0].parameter_value_by_name
+            } or not parameter_names:
                 raise InputError(
                     error_key, parameter_names, "one or more names, the same for all meshes"
                 )
             for parameter_name in parameter_names:
-                if not (parameter_name in allowed_names or parameter_name.isidentifier()):
-                    names_text = ", ".join(sorted(allowed_names))
+                if not (parameter_name in allowed_crack_keys or parameter_name.isidentifier()):
+                    names_text = ", ".join(sorted(allowed_crack_keys))
                     raise InputError(
                         error_key, parameter_name, f"a single word, or one of {names_text}"
                     )
-        axes = self.mesh_axes
+        axes = self.mesh_parameter_axes
         for axis in axes:
-            if len(axis.values) < MIN_ALLOWED_VALUES_PER_UNKNOWN:
+            if len(axis.values) < MIN_GRID_VALUES_PER_UNKNOWN:
                 raise InputError(
                     f"identify.meshes, {axis.key}",
                     axis.values,
-                    f"at least {MIN_ALLOWED_VALUES_PER_UNKNOWN} different values",
+                    f"at least {MIN_GRID_VALUES_PER_UNKNOWN} different values",
                 )
-        n_meshes_by_values = Counter(
-            tuple(mesh_file.number_by_name[axis.key] for axis in axes) for mesh_file in self.meshes
+        n_meshes_by_combination = Counter(
+            tuple(mesh_file_entry.parameter_value_by_name[axis.key] for axis in axes)
+            for mesh_file_entry in self.meshes
         )
-        value_combinations = itertools.product(*(axis.values for axis in axes))
-        for value_combination in value_combinations if n_meshes_by_values else ():
-            if (n_meshes := n_meshes_by_values[value_combination]) != 1:
+        mesh_parameter_combinations = itertools.product(*(axis.values for axis in axes))
+        for mesh_parameter_combination in (
+            mesh_parameter_combinations if n_meshes_by_combination else ()
+        ):
+            if (
+                n_meshes_of_combination := n_meshes_by_combination[mesh_parameter_combination]
+            ) != 1:
                 combination_text = ", ".join(
                     f"{axis.key} = {parameter_value:g}"
-                    for axis, parameter_value in zip(axes, value_combination, strict=True)
+                    for axis, parameter_value in zip(axes, mesh_parameter_combination, strict=True)
                 )
                 raise InputError(
                     "identify.meshes",
-                    f"{n_meshes or 'no'} files of {combination_text}",
+                    f"{n_meshes_of_combination or 'no'} files of {combination_text}",
                     "a table with one mesh file for every combination of the numbers",
                 )
 
     @property
-    def mesh_axes(self) -> tuple[Axis, ...]:
+    def mesh_parameter_axes(self) -> tuple[Axis, ...]:
         """Parameters of ``meshes``, each with its sorted values; empty without meshes."""
-        parameter_names = self.meshes[0].number_by_name if self.meshes else ()
+        parameter_names = self.meshes[0].parameter_value_by_name if self.meshes else ()
         return tuple(
-            Axis(name, tuple(sorted({mesh.number_by_name[name] for mesh in self.meshes})))
+            Axis(
+                name,
+                tuple(
+                    sorted(
+                        {
+                            mesh_file_entry.parameter_value_by_name[name]
+                            for mesh_file_entry in self.meshes
+                        }
+                    )
+                ),
+            )
             for name in parameter_names
         )
 
     @property
     def mesh_files(self) -> tuple[str, ...]:
-        """Paths of ``meshes`` in the order of :attr:`mesh_axes`, the last parameter fastest."""
-        mesh_axes = self.mesh_axes
-        ordered_mesh_files = sorted(
-            self.meshes, key=lambda mesh: [mesh.number_by_name[axis.key] for axis in mesh_axes]
+        """Paths of ``meshes`` by :attr:`mesh_parameter_axes`, the last parameter fastest."""
+        mesh_parameter_axes = self.mesh_parameter_axes
+        mesh_files_by_parameter_values = sorted(
+            self.meshes,
+            key=lambda mesh_file_entry: [
+                mesh_file_entry.parameter_value_by_name[axis.key] for axis in mesh_parameter_axes
+            ],
         )
-        return tuple(mesh_file.key for mesh_file in ordered_mesh_files)
+        return tuple(ordered_mesh_file.key for ordered_mesh_file in mesh_files_by_parameter_values)
 
     @property
     def inference_setting_by_key(self) -> dict[str, Any]:
@@ -543,7 +562,7 @@ class TipTiming(Table):
         Rule("tip_timing.frequencies", ("orders",)),
     )
 
-    probes: tuple[float, ...] = value_field(
+    probes: tuple[float, ...] = any_type_field(
         "a list of rising angles in degrees, from 0 to less than 360",
         lambda angles: (
             angles and 0.0 <= angles[0] and angles[-1] < 360.0 and bool(np.all(np.diff(angles) > 0))
@@ -555,7 +574,7 @@ class TipTiming(Table):
     """
     tip_radius: float = positive_field(unit="m")
     """Distance between tip and rotor axis."""
-    tangential: float | None = value_field(
+    tangential: float | None = any_type_field(
         f"a finite number other than 0 (of magnitude {ALLOWED_MAGNITUDES_TEXT})",
         lambda share: share != 0.0,
         None,
@@ -575,11 +594,11 @@ class TipTiming(Table):
     """Standard deviation of the normal errors that are added to computed arrival times."""
     clock: float = nonnegative_field(0.0, unit="s")
     """Step of the clock to which computed arrival times are rounded; 0: not rounded."""
-    seed: int = value_field("a whole number >= 0", lambda value: value >= 0, 0)
+    seed: int = any_type_field("a whole number >= 0", lambda value: value >= 0, 0)
     """Seed for the random errors with ``noise``."""
     angle_deviation: float = nonnegative_field(0.0, unit="degrees")
     """Standard deviation of the probe angles' errors, which a fit takes as constant."""
-    orders: tuple[float, ...] | None = value_field(
+    orders: tuple[float, ...] | None = any_type_field(
         "a list of different whole numbers >= 1",
         lambda orders: (
             orders
@@ -598,7 +617,7 @@ class TipTiming(Table):
     It is used for resonances in a measured run-up, and affects the fitted damping. Default with
     [rotation]: computed for each mode by the Campbell diagram; otherwise 0.
     """
-    frequencies: tuple[float, ...] | None = value_field(
+    frequencies: tuple[float, ...] | None = any_type_field(
         "two finite numbers > 0, the second one larger",
         lambda ends: len(ends) == 2 and 0.0 < ends[0] < ends[1],
         None,
@@ -628,17 +647,17 @@ class Output(Table):
     tip = [0.1, 0.1]
     """
 
-    quantities: tuple[str, ...] | None = value_field(
+    quantities: tuple[str, ...] | None = any_type_field(
         f"a list of names out of {', '.join(OBSERVABLES_BY_NAME)}",
         lambda names: names and set(names) <= OBSERVABLES_BY_NAME.keys(),
         None,
     )
     """Names of printed and drawn quantities; files have all. Default: a short selection."""
-    points: tuple[NamedPoint, ...] = value_field(
-        f"a table with at most {MAX_ALLOWED_OUTPUT_POINTS} points: a name of letters, digits and "
+    points: tuple[OutputPoint, ...] = any_type_field(
+        f"a table with at most {MAX_NAMED_OUTPUT_POINTS} points: a name of letters, digits and "
         "_, and finite numbers [x, y], or [x, y, z] in a solid",
         lambda points: (
-            len(points) <= MAX_ALLOWED_OUTPUT_POINTS
+            len(points) <= MAX_NAMED_OUTPUT_POINTS
             and all(re.fullmatch(r"[A-Za-z]\w{0,29}", point.key, re.A) for point in points)
         ),
         (),

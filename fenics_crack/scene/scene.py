@@ -19,13 +19,18 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.errors import InputError, report_read_errors
-from fenics_crack.basics.observables import OBSERVABLES_BY_NAME, Observable, ObservableFlag, Place
+from fenics_crack.basics.observables import (
+    OBSERVABLES_BY_NAME,
+    Observable,
+    ObservableTableFlag,
+    Place,
+)
 from fenics_crack.basics.suggestions import (
     check_calls,
     convert_to_unit_or_none,
     did_you_mean_text,
     format_scene_value,
-    with_old_names,
+    keep_old_attribute_names,
 )
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
@@ -37,10 +42,10 @@ from fenics_crack.scene.cross_checks import check_tables
 from fenics_crack.scene.fields import Axis, MeshFile, add_preposition, condition_holds
 from fenics_crack.scene.keys import (
     AXES_TABLE_KEY_PAIRS,
-    KEYS_WITH_PATHS,
+    KEYS_THAT_MAY_CONTAIN_PATHS,
     LIST_TABLE_NAMES,
     PATH_KEYS,
-    RESULT_TABLE_NAMES,
+    RESULT_SETTINGS_TABLE_NAMES,
     TABLE_CLASS_BY_NAME,
     SceneTables,
     check_and_convert_axes,
@@ -56,7 +61,8 @@ MANY_SOLUTION_TABLE_NAMES = ("curve", "sweep", "growth", "identify")
 """Settings tables for the commands that solve a scene many times."""
 
 
-@with_old_names(
+@keep_old_attribute_names(
+    label_by_point_name="label_by_displacement_name",
     all_cracks="crack_by_name",
     at_rest="without_rotation",
     axis="axis_point_and_direction",
@@ -64,7 +70,7 @@ MANY_SOLUTION_TABLE_NAMES = ("curve", "sweep", "growth", "identify")
     has_element_lengths="has_graded_lengths",
     in_hertz="is_frequency_in_hertz",
     in_rpm="is_speed_in_rpm",
-    point_names="label_by_point_name",
+    point_names="label_by_displacement_name",
     points="output_points",
     swept="swept_values_by_key",
 )
@@ -126,7 +132,7 @@ class Scene(SceneTables):
             {
                 changed_key: changes[changed_key]
                 for changed_key in changes
-                if changed_key in KEYS_WITH_PATHS
+                if changed_key in KEYS_THAT_MAY_CONTAIN_PATHS
             }
         )
 
@@ -244,7 +250,7 @@ class Scene(SceneTables):
         return None if self.output is None else self.output.quantities
 
     @property
-    def label_by_point_name(self) -> dict[str, str]:
+    def label_by_displacement_name(self) -> dict[str, str]:
         """Labels for output points: "x displacement of tip" for the name "tip.ux"."""
         return {
             f"{point.key}.u{axis_letter}": f"{axis_letter} displacement of {point.key}"
@@ -301,9 +307,11 @@ class Scene(SceneTables):
         elif self.mesh.layout == "file":
             point = (*(axis_table.center or (0.0,)), 0.0, 0.0)[:3]
         else:
-            blade_middle = 0.5 * self.geometry.circumferential_width
-            x, z = (blade_middle, 0.0) if self.dimension == 2 else (0.0, blade_middle)
-            point = (x, -axis_table.given("outer_radius"), z)
+            half_blade_width = 0.5 * self.geometry.circumferential_width
+            axis_point_x, axis_point_z = (
+                (half_blade_width, 0.0) if self.dimension == 2 else (0.0, half_blade_width)
+            )
+            point = (axis_point_x, -axis_table.given("outer_radius"), axis_point_z)
         if self.disk is not None and self.dimension == 2:
             direction = (0.0, 0.0, 1.0)
         return np.array(point), np.array(direction) / np.linalg.norm(direction)
@@ -335,8 +343,8 @@ class Scene(SceneTables):
         """Return the scene as a TOML text for :meth:`load`, with unchanged paths."""
         table_texts = []
         for name, table in self.table_by_name.items():
-            list_name, dot, _ = name.partition(".")
-            header = f"[[{list_name}]]" if dot else f"[{name}]"
+            list_name, dot_or_empty, _ = name.partition(".")
+            header = f"[[{list_name}]]" if dot_or_empty else f"[{name}]"
             table_texts.append(table.as_toml().replace(f"[{table.full_key()}]", header, 1))
         return "\n".join(table_texts)
 
@@ -348,9 +356,9 @@ def _find_excluding_condition(scene: Scene, reason_by_condition: Mapping[str, st
     "with [disk]: stress intensities are not computed for bladed disks". The text is empty if no
     condition holds.
     """
-    for condition, reason in reason_by_condition.items():
-        if condition_holds(condition, vars(scene)):
-            return f"{add_preposition(condition)}: {reason}"
+    for excluding_condition, reason in reason_by_condition.items():
+        if condition_holds(excluding_condition, vars(scene)):
+            return f"{add_preposition(excluding_condition)}: {reason}"
     return ""
 
 
@@ -390,17 +398,17 @@ def refuse_for_reason(reason: str, key: str, value: object = None) -> None:
 
 def _reason_without_observable(scene: Scene, observable: Observable) -> str:
     """Return why an observable cannot be computed for a scene; "" if it can."""
-    if ObservableFlag.REQUIRES_FRICTION in observable.flags and not scene.has_friction:
+    if ObservableTableFlag.REQUIRES_FRICTION in observable.flags and not scene.has_friction:
         return "without contact.friction"
-    if ObservableFlag.REQUIRES_GROWTH_LAW in observable.flags and scene.growth is None:
+    if ObservableTableFlag.REQUIRES_GROWTH_LAW in observable.flags and scene.growth is None:
         return "without a table [growth], whose exponent it needs"
-    if ObservableFlag.REQUIRES_SOLID in observable.flags and (
+    if ObservableTableFlag.REQUIRES_SOLID in observable.flags and (
         scene.structure is not None or scene.dimension == 2
     ):
         return "without geometry.kind = 'solid'"
     return (
-        _EXCLUSION_REASON_FUNCTION_BY_PLACE[observable.place](scene)
-        if observable.place in _EXCLUSION_REASON_FUNCTION_BY_PLACE
+        _REASON_FUNCTION_BY_OBSERVABLE_PLACE[observable.place](scene)
+        if observable.place in _REASON_FUNCTION_BY_OBSERVABLE_PLACE
         else ""
     )
 
@@ -428,9 +436,9 @@ _NO_CLAMP_FORCES_REASON_BY_CONDITION: Mapping[str, str] = {
     "[rotation]": "clamp forces are computed without rotation only",
 }
 """Conditions that exclude forces on the clamp, with reasons."""
-_EXCLUSION_REASON_FUNCTION_BY_PLACE: dict[Place, Callable[[Scene], str]] = {
+_REASON_FUNCTION_BY_OBSERVABLE_PLACE: dict[Place, Callable[[Scene], str]] = {
     Place.MOST_LOADED_TIP: reason_without_stress_intensity,
-    Place.ELLIPSE_ENDS: reason_without_elliptical_growth,
+    Place.DEEPEST_PLACE_AND_ELLIPSE_ENDS: reason_without_elliptical_growth,
     Place.CLAMP: reason_without_clamp_forces,
 }
 """Functions of a scene, by place: return why numbers at this place cannot be computed, or ""."""
@@ -440,12 +448,12 @@ def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
     """Return (full key, path) for each file that defines the structure or its load.
 
     Paths in the sweep are included. Files in tables that only choose results
-    (:data:`RESULT_TABLE_NAMES`) are left out.
+    (:data:`RESULT_SETTINGS_TABLE_NAMES`) are left out.
     """
     keys_and_paths = [
         (key, path)
         for key, path in _find_values_with_paths(scene).items()
-        if isinstance(path, str) and not key.startswith(RESULT_TABLE_NAMES)
+        if isinstance(path, str) and not key.startswith(RESULT_SETTINGS_TABLE_NAMES)
     ]
     for key, axis_values in scene.swept_values_by_key.items():
         if key in PATH_KEYS:
@@ -455,10 +463,12 @@ def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
 
 def _find_values_with_paths(scene: Scene) -> dict[str, Any]:
     """Return file paths, and tuples that may have paths (sweep axes, mesh files), by full key."""
-    split_keys = ((full_key, *full_key.split(".")) for full_key in KEYS_WITH_PATHS)
+    full_keys_with_parts = (
+        (full_key, *full_key.split(".")) for full_key in KEYS_THAT_MAY_CONTAIN_PATHS
+    )
     value_by_key = {
         full_key: getattr(getattr(scene, table_name), key_in_table, None)
-        for full_key, table_name, key_in_table in split_keys
+        for full_key, table_name, key_in_table in full_keys_with_parts
     }
     return {key: value for key, value in value_by_key.items() if isinstance(value, str | tuple)}
 
@@ -510,16 +520,16 @@ def _make_line_fix_text(toml_text: str, error_text: str) -> str:
     ``error_text`` has the line number, "at line 3". For "5 mm" the correction is the number in SI
     units; for a word, the word in quotes. The text is empty without a correction.
     """
-    toml_lines, line_match = toml_text.splitlines(), re.search(r"at line (\d+)", error_text)
-    if line_match is None or int(line_match[1]) > len(toml_lines):
+    given_toml_lines, line_match = toml_text.splitlines(), re.search(r"at line (\d+)", error_text)
+    if line_match is None or int(line_match[1]) > len(given_toml_lines):
         return ""
-    lines_up_to_error = toml_lines[: int(line_match[1])]
-    toml_line = toml_lines[int(line_match[1]) - 1]
+    lines_up_to_error = given_toml_lines[: int(line_match[1])]
+    toml_line = given_toml_lines[int(line_match[1]) - 1]
     table_headers = [
         toml_line.strip("[ ]") for toml_line in lines_up_to_error if toml_line.startswith("[")
     ]
     key, _, value_text = (
-        line_part.strip() for line_part in toml_line.partition("#")[0].partition("=")
+        toml_line_part.strip() for toml_line_part in toml_line.partition("#")[0].partition("=")
     )
     si_value = convert_to_unit_or_none(
         value_text.strip("\"'"), unit_of_key(".".join([*table_headers[-1:], key]))

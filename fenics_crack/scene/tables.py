@@ -19,25 +19,25 @@ from fenics_crack.basics.errors import (
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM
 from fenics_crack.scene.fields import (
     ZERO_OR_MAGNITUDE_TEXT,
-    FacePoints,
     Harmonic,
+    NamedCadFace,
     Pair,
     Rule,
     Table,
     Vector,
+    any_type_field,
     bounded_field,
     choice_field,
     harmonic_order_field,
-    harmonics_field,
     hertz_field,
+    load_harmonic_list_field,
     nonnegative_field,
     number_field,
     path_field,
     positive_field,
     positive_int_field,
     twin_field,
-    value_field,
-    vector_value_field,
+    vector_key_field,
 )
 
 LOAD_KINDS = ("force", "pressure", "traction")
@@ -50,7 +50,7 @@ KEYS_BY_LOAD_KIND = {
 FORCE_KEYS = KEYS_BY_LOAD_KIND["force"]
 EDGE_LOAD_KEYS = KEYS_BY_LOAD_KIND["pressure"] + KEYS_BY_LOAD_KIND["traction"]
 """Keys for loads on an edge."""
-MAX_GEOMETRY_FACE_POINTS = 200
+MAX_TOTAL_POINTS_ON_NAMED_FACES = 200
 """Maximum number of points in ``[geometry.faces]``."""
 
 
@@ -74,7 +74,7 @@ class Geometry(Table):
     """Thickness of a plate, also with a mesh file, or of a box along z."""
     width: float | None = bounded_field("1e-6", "1e6", None, unit="m")
     height: float | None = bounded_field("1e-6", "1e6", None, unit="m")
-    file: str | None = value_field(
+    file: str | None = any_type_field(
         "the path of a .step, .stp or .brep file",
         lambda path: path.lower().endswith((".step", ".stp", ".brep")),
         None,
@@ -83,10 +83,10 @@ class Geometry(Table):
     """CAD file with a part without a crack, one solid, for meshing."""
     unit: str | None = choice_field("mm", "m", "inch", default=None)
     """Length unit of a .brep file, which does not state the unit."""
-    faces: tuple[FacePoints, ...] = value_field(
+    faces: tuple[NamedCadFace, ...] = any_type_field(
         "a table of face names, each with a list of points [x, y, z] in m on faces of the part; "
-        f"at most {MAX_GEOMETRY_FACE_POINTS} points",
-        lambda faces: sum(len(face.values) for face in faces) <= MAX_GEOMETRY_FACE_POINTS,
+        f"at most {MAX_TOTAL_POINTS_ON_NAMED_FACES} points",
+        lambda faces: sum(len(face.values) for face in faces) <= MAX_TOTAL_POINTS_ON_NAMED_FACES,
         (),
     )
     """Names of a part's faces, each with points [m] on the face or near it."""
@@ -96,7 +96,10 @@ class Geometry(Table):
         if self.file is None:
             return
         self.require(
-            any(face.key == "clamp" and face.values for face in self.faces),
+            any(
+                face_with_points.key == "clamp" and face_with_points.values
+                for face_with_points in self.faces
+            ),
             "faces",
             "a table with points on the clamped faces, clamp = [[x, y, z]]",
         )
@@ -164,19 +167,19 @@ class Crack(Table):
 
     "through": the half-plane that ends at ``point``.
     """
-    point: Vector | None = vector_value_field("", unit="m", of_solid=True)
+    point: Vector | None = vector_key_field("", unit="m", of_solid=True)
     """Middle of the ellipse, or point on the half-plane's end.
 
     With "through" and a length: point at the mouth.
     """
-    normal: Vector | None = vector_value_field("n", of_solid=True)
+    normal: Vector | None = vector_key_field("n", of_solid=True)
     """Normal of the crack's plane."""
-    direction: Vector | None = vector_value_field("d", of_solid=True)
+    direction: Vector | None = vector_key_field("d", of_solid=True)
     """Direction of the first radius, or of growth for a half-plane.
 
     Only the component in the crack's plane counts.
     """
-    radii: Pair | None = value_field(
+    radii: Pair | None = any_type_field(
         "[a, b], two finite numbers > 0", lambda radii: min(radii) > 0, None, unit="m"
     )
     """Radii of the ellipse, along the direction and across.
@@ -240,7 +243,9 @@ class Material(Table):
 
     young: float = positive_field(unit="Pa")
     """Young's modulus E."""
-    poisson: float = value_field("a finite number with -1 < nu < 0.5", lambda nu: -1.0 < nu < 0.5)
+    poisson: float = any_type_field(
+        "a finite number with -1 < nu < 0.5", lambda nu: -1.0 < nu < 0.5
+    )
     """Poisson's ratio [-]."""
     density: float = positive_field(unit="kg/m^3")
 
@@ -256,25 +261,25 @@ class Damping(Table):
     the damping ratios at the two frequencies ``omegas`` or ``frequencies``.
     """
 
-    ratio: float | tuple[float, ...] | None = value_field(
+    ratio: float | tuple[float, ...] | None = any_type_field(
         "a number from 0 to 1 (0.02 for 2 %), or a list of them, one per mode",
         lambda ratio: np.min(ratio) >= 0 and np.max(ratio) <= 1,
         None,
     )
     """Ratio to critical damping, for all modes or for each mode."""
-    modes: int | str = value_field(
+    modes: int | str = any_type_field(
         "'all' or a whole number >= 1", lambda value: value == "all" or value >= 1, "all"
     )
     """Number of damped modes, from the lowest; "all": every mode."""
     mass: float | None = nonnegative_field(None, unit="1/s")
     stiffness: float | None = nonnegative_field(None, unit="s")
-    ratios: Pair | None = value_field(
+    ratios: Pair | None = any_type_field(
         "[xi_1, xi_2], two numbers from 0 to 1",
         lambda ratios: min(ratios) >= 0 and max(ratios) <= 1,
         None,
     )
     """Ratios to critical damping at two frequencies."""
-    omegas: Pair | None = value_field(
+    omegas: Pair | None = any_type_field(
         "[omega_1, omega_2], two different numbers > 0",
         lambda omegas: min(omegas) > 0 and omegas[0] != omegas[1],
         None,
@@ -345,10 +350,10 @@ class PeriodicLoad:
     wave_harmonics: int = 1
 
     @property
-    def highest_order(self) -> int:
+    def highest_load_harmonic(self) -> int:
         """Highest multiple of the load frequency in this load, at least 1."""
-        wave_order = self.wave_harmonics if self.wave is not None else 1
-        return max(wave_order, *(harmonic.order for harmonic in self.harmonics), 1)
+        highest_wave_order = self.wave_harmonics if self.wave is not None else 1
+        return max(highest_wave_order, *(harmonic.order for harmonic in self.harmonics), 1)
 
 
 @dataclass(frozen=True)
@@ -367,12 +372,12 @@ class Excitation(Table, PeriodicLoad):
     """``omega`` in Hz; give either key, or an order."""
     order: int | None = positive_int_field(None)
     """Engine order: omega is the order times ``rotation.speed``."""
-    point: Vector | None = vector_value_field("", unit="m")
+    point: Vector | None = vector_key_field("", unit="m")
     """Point of the force; a mesh file may have a physical point ``load`` instead."""
-    force_sin: Vector = vector_value_field("f", (0.0, 0.0), unit="N")
-    force_cos: Vector = vector_value_field("f", (0.0, 0.0), unit="N")
-    force_mean: Vector = vector_value_field("f", (0.0, 0.0), unit="N")
-    harmonics: tuple[Harmonic, ...] = harmonics_field()
+    force_sin: Vector = vector_key_field("f", (0.0, 0.0), unit="N")
+    force_cos: Vector = vector_key_field("f", (0.0, 0.0), unit="N")
+    force_mean: Vector = vector_key_field("f", (0.0, 0.0), unit="N")
+    harmonics: tuple[Harmonic, ...] = load_harmonic_list_field()
     """Further harmonics of the force [N]: ``order`` with ``cos`` and ``sin``.
 
     Or ``order`` with ``amplitude`` and ``phase``, the lag [degrees].
@@ -471,22 +476,22 @@ class Load(Table, PeriodicLoad):
         Rule("edge", FORCE_KEYS, ": a force needs point"),
     )
 
-    point: Vector | None = vector_value_field("", unit="m")
-    edge: str | None = value_field(
+    point: Vector | None = vector_key_field("", unit="m")
+    edge: str | None = any_type_field(
         "'top', 'left', 'right', or a curve of the mesh file", default=None
     )
-    force_sin: Vector | None = vector_value_field("f", unit="N")
-    force_cos: Vector | None = vector_value_field("f", unit="N")
-    force_mean: Vector | None = vector_value_field("f", unit="N")
+    force_sin: Vector | None = vector_key_field("f", unit="N")
+    force_cos: Vector | None = vector_key_field("f", unit="N")
+    force_mean: Vector | None = vector_key_field("f", unit="N")
     pressure_sin: float | None = number_field(None, unit="Pa")
     pressure_cos: float | None = number_field(None, unit="Pa")
     pressure_mean: float | None = number_field(None, unit="Pa")
-    traction_sin: Vector | None = vector_value_field("t", unit="Pa")
-    traction_cos: Vector | None = vector_value_field("t", unit="Pa")
-    traction_mean: Vector | None = vector_value_field("t", unit="Pa")
+    traction_sin: Vector | None = vector_key_field("t", unit="Pa")
+    traction_cos: Vector | None = vector_key_field("t", unit="Pa")
+    traction_mean: Vector | None = vector_key_field("t", unit="Pa")
     phase: float = number_field(0.0, unit="degrees")
     """Phase lag in cos(omega t - phase) and sin(omega t - phase)."""
-    harmonics: tuple[Harmonic, ...] = harmonics_field()
+    harmonics: tuple[Harmonic, ...] = load_harmonic_list_field()
     """Further harmonics, ``[[loads.harmonics]]``, as in the excitation.
 
     At a point they are forces; on an edge tractions or, with one number, pressures [Pa].
@@ -531,14 +536,16 @@ class Load(Table, PeriodicLoad):
         )
         phase_factor = cmath.rect(1.0, math.radians(self.phase))
         lagged_components = [
-            phase_factor * complex(cosine, sine)
-            for cosine, sine in zip_longest(cosine_vector, sine_vector, fillvalue=0.0)
+            phase_factor * complex(cosine_component, sine_component)
+            for cosine_component, sine_component in zip_longest(
+                cosine_vector, sine_vector, fillvalue=0.0
+            )
         ]
         harmonic_vectors = [
             mean_vector,
             tuple(component.real for component in lagged_components),
             tuple(component.imag for component in lagged_components),
-            *((),) * (2 * self.highest_order - 2),
+            *((),) * (2 * self.highest_load_harmonic - 2),
         ]
         is_pressure = load_kind == "pressure"
         add_harmonics(
@@ -558,16 +565,16 @@ class Base(Table, PeriodicLoad):
     clamp. A clamp that moves by U has the acceleration -omega^2 U.
     """
 
-    acceleration_sin: Vector | None = vector_value_field("a", unit="m/s^2")
-    acceleration_cos: Vector | None = vector_value_field("a", unit="m/s^2")
-    harmonics: tuple[Harmonic, ...] = harmonics_field()
+    acceleration_sin: Vector | None = vector_key_field("a", unit="m/s^2")
+    acceleration_cos: Vector | None = vector_key_field("a", unit="m/s^2")
+    harmonics: tuple[Harmonic, ...] = load_harmonic_list_field()
     """Further harmonics of the acceleration, ``[[base.harmonics]]``, as in the excitation."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        accelerations = (self.acceleration_cos or (), self.acceleration_sin or ())
+        first_order_accelerations = (self.acceleration_cos or (), self.acceleration_sin or ())
         self.require(
-            bool(self.harmonics) or any(map(any, accelerations)),
+            bool(self.harmonics) or any(map(any, first_order_accelerations)),
             "acceleration_sin",
             "given and not zero, or base.acceleration_cos or base.harmonics given",
         )
@@ -582,7 +589,7 @@ class Base(Table, PeriodicLoad):
             if vector
         )
         zero_vector = (0.0,) * n_components
-        harmonic_vectors: list[Vector] = [zero_vector] * (2 * self.highest_order + 1)
+        harmonic_vectors: list[Vector] = [zero_vector] * (2 * self.highest_load_harmonic + 1)
         harmonic_vectors[1:3] = [vector or zero_vector for vector in first_order_vectors]
         add_harmonics(harmonic_vectors, self.harmonics)
         return harmonic_vectors[1:]
@@ -611,11 +618,11 @@ class Rotation(Table):
 
     hub_radius: float | None = nonnegative_field(None, unit="m")
     """Radius at y = 0, the clamp: the axis is at y = -hub_radius."""
-    axis: Vector | None = vector_value_field("a", of_solid=True)
+    axis: Vector | None = vector_key_field("a", of_solid=True)
     """Axis direction for a solid; default: x."""
-    center: Vector | None = vector_value_field("", unit="m", of_solid=True)
+    center: Vector | None = vector_key_field("", unit="m", of_solid=True)
     """Point on the rotor axis, for a solid, instead of hub_radius."""
-    speed: float = value_field(
+    speed: float = any_type_field(
         "a finite number >= 0 (0, or 1e-6 to 1e9)",
         lambda w: w == 0 or 1e-6 <= w <= 1e9,
         None,
@@ -654,14 +661,14 @@ class Disk(Table):
 
     _KEY_RULES = (Rule("disk.mistuning", ("deviation", "seed")),)
 
-    sectors: int = value_field("a whole number from 3 to 1000", lambda count: 3 <= count <= 1000)
-    cracked: tuple[int, ...] = value_field(
+    sectors: int = any_type_field("a whole number from 3 to 1000", lambda count: 3 <= count <= 1000)
+    cracked: tuple[int, ...] = any_type_field(
         "the number of a sector, from 1, or a list of different numbers",
         lambda numbers: min(numbers, default=1) >= 1,
         (1,),
     )
     """Sectors with a crack; in other sectors the crack faces are bonded."""
-    mistuning: tuple[float, ...] | None = value_field(
+    mistuning: tuple[float, ...] | None = any_type_field(
         "a list of numbers above -0.5 and below 1, one for each sector",
         lambda deviations: all(-0.5 < deviation < 1.0 for deviation in deviations),
         None,
@@ -672,7 +679,7 @@ class Disk(Table):
 
     The sectors' relative stiffness deviations are then independent normal numbers.
     """
-    seed: int = value_field("a whole number >= 0", lambda value: value >= 0, 0)
+    seed: int = any_type_field("a whole number >= 0", lambda value: value >= 0, 0)
     """Seed of the random pattern, for NumPy's default generator."""
     families: int = positive_int_field(3)
     """Number of lowest modes kept for each nodal diameter; the load's band must be among them.
@@ -680,15 +687,15 @@ class Disk(Table):
     Four more modes for each nodal diameter, and static solutions, serve to assess the neglected
     modes.
     """
-    modes: int = value_field("a whole number >= 0", lambda count: count >= 0, 0)
+    modes: int = any_type_field("a whole number >= 0", lambda count: count >= 0, 0)
     """Number of further modes of the wheel: the modes that open the cracks most."""
     inner_radius: float | None = positive_field(None, unit="m")
     """Radius at which the rim is clamped."""
     outer_radius: float | None = positive_field(None, unit="m")
     """Outer radius of the rim."""
-    center: Vector | None = vector_value_field("", unit="m")
+    center: Vector | None = vector_key_field("", unit="m")
     """With a mesh file: point on the rotor axis; default: the origin."""
-    axis: Vector | None = vector_value_field("a", of_solid=True)
+    axis: Vector | None = vector_key_field("a", of_solid=True)
     """With a mesh file of a solid: direction of the rotor axis; default: x."""
 
     def __post_init__(self) -> None:
@@ -748,7 +755,7 @@ class Contact(Table):
     The contact force is lambda = a k max(0, g) + (1 - a) k max(0, g - p), with the total stiffness
     k and the share a = ``layer_share``. Left out: no layer.
     """
-    layer_share: float | None = value_field(
+    layer_share: float | None = any_type_field(
         "a number between 0 and 1", lambda share: 0.0 < share < 1.0, None
     )
     """Share a of the stiffness that acts from the first contact on; the rest beyond the depth p."""
@@ -758,7 +765,7 @@ class Contact(Table):
     Left out: no friction; the error report then states the effect that friction would have, but not
     with a contact layer or the law "smoothed".
     """
-    friction_error: float | bool = value_field(
+    friction_error: float | bool = any_type_field(
         "a finite number > 0, or false", lambda mu: mu is False or mu > 0, 0.3
     )
     """Friction coefficient for which the error of neglecting friction is computed.
@@ -793,11 +800,13 @@ class Contact(Table):
             self.given("layer_share", "given: a number between 0 and 1, with contact.layer_depth")
             self.require(not self.friction, "friction", "0, or left out, with contact.layer_depth")
         self.require(
-            self.is_unilateral or not self.friction, "friction", f"0, or left out, with {law_text}"
+            self.has_force_only_when_closed or not self.friction,
+            "friction",
+            f"0, or left out, with {law_text}",
         )
 
     @property
-    def is_unilateral(self) -> bool:
+    def has_force_only_when_closed(self) -> bool:
         """True for the laws "penalty" and "unilateral": a pair is either open or closed.
 
         With the law "smoothed", a pair has a contact force at every gap.
@@ -830,7 +839,7 @@ class HarmonicBalance(Table):
 
     "block" uses PETSc's SNES, takes longer and has no tolerance. Nothing else changes.
     """
-    error: bool = value_field("true or false", default=True)
+    error: bool = any_type_field("true or false", default=True)
     """false: neither error nor stability is computed.
 
     With many pairs or modes, error and stability take longer than the solution.
@@ -860,10 +869,10 @@ class HarmonicBalance(Table):
         )
 
     def with_load_harmonics(self, highest_order: int) -> HarmonicBalance:
-        """Return the table with at least ``highest_order`` harmonics.
+        """Return the table with at least ``highest_load_harmonic`` harmonics.
 
-        ``highest_order`` is the highest harmonic of any load. The default number of harmonics is
-        increased if necessary. Raises InputError if the scene gives a smaller number.
+        ``highest_load_harmonic`` is the highest harmonic of any load. The default number of
+        harmonics is increased if necessary. Raises InputError if the scene gives a smaller number.
         """
         has_enough_harmonics = self.harmonics >= highest_order
         self.require(
@@ -909,7 +918,7 @@ class Mesh(Table):
     """Layout: "grid", equal cells; "graded", finer at cracks; "file", a mesh file."""
     cells: str = choice_field("triangle", "quadrilateral", default="quadrilateral")
     """Cells in a plate; a mesh file and a graded sector have their own."""
-    order: int = value_field("1 or 2", lambda value: value in (1, 2), default=None)
+    order: int = any_type_field("1 or 2", lambda value: value in (1, 2), default=None)
     """Polynomial order of the displacement; default: 1 in a plate, 2 in a solid."""
     columns: int | None = positive_int_field(None)
     """Columns of a grid."""
@@ -924,7 +933,9 @@ class Mesh(Table):
     """Mesh file, relative to the scene's folder, or with a full path."""
     coarser: str | None = path_field("the path of a .msh file")
     """Mesh file with the same part and fewer elements, for estimating the mesh error."""
-    per_turn: int = value_field("a whole number from 4 to 200", lambda count: 4 <= count <= 200, 12)
+    per_turn: int = any_type_field(
+        "a whole number from 4 to 200", lambda count: 4 <= count <= 200, 12
+    )
     """Number of elements on a full turn around a curved face of a CAD part."""
     patches: int | None = positive_int_field(None)
     """Maximum number of contact pairs in each crack.
@@ -932,7 +943,7 @@ class Mesh(Table):
     Pairs are means over several nodes, if the mesh is finer than contact needs. Default: all nodes;
     in a solid all corners of elements.
     """
-    error: bool = value_field("true or false", default=True)
+    error: bool = any_type_field("true or false", default=True)
     """true: a coarser mesh gives the mesh error of each number."""
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fenics_crack.basics.tables import format_quantity
-from fenics_crack.scene.keys import RESULT_TABLE_NAMES, unit_of_key
+from fenics_crack.scene.keys import RESULT_SETTINGS_TABLE_NAMES, unit_of_key
 from fenics_crack.scene.scene import Scene
 
 AXIS_LABEL_BY_SCENE_KEY = {
@@ -65,8 +65,8 @@ def value_in_words(key: str, value: Any) -> str:
 def describe_differences(scenes: Sequence[Scene]) -> list[str]:
     """Describe how scenes differ from each other: "excitation.force_sin = 20 N".
 
-    Keys in tables that only choose results (:data:`RESULT_TABLE_NAMES`) count only if no other key
-    differs.
+    Keys in tables that only choose results (:data:`RESULT_SETTINGS_TABLE_NAMES`) count only if no
+    other key differs.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def describe_differences(scenes: Sequence[Scene]) -> list[str]:
         )
     ]
     reported_keys = [
-        key for key in differing_keys if key.split(".")[0] not in RESULT_TABLE_NAMES
+        key for key in differing_keys if key.split(".")[0] not in RESULT_SETTINGS_TABLE_NAMES
     ] or differing_keys
     return [
         ", ".join(f"{key} = {value_in_words(key, value_by_key[key])}" for key in reported_keys)

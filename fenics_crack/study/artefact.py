@@ -25,13 +25,17 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.ranks import gather_rows, on_root
-from fenics_crack.fem.setting import clearance_of, damping_rule_of, list_force_harmonic_vectors
+from fenics_crack.fem.setting import (
+    clearance_of,
+    damping_rule_of,
+    list_mean_cos_and_sin_force_vectors,
+)
 from fenics_crack.files.codec import pack_dataclass, unpack_dataclass
 from fenics_crack.files.store import StoredFile, check_shapes, read_result_file, write_result_file
-from fenics_crack.model.body import DEFAULT_SETTING, Body
+from fenics_crack.model.body import SETTING_WITHOUT_CHANGES, Body
 from fenics_crack.model.factor import make_square_petsc_matrix
 from fenics_crack.model.matrices import AbsentMatrix
-from fenics_crack.model.nodes import Clamp, Nodes, Pairs
+from fenics_crack.model.nodes import ClampReactionData, Nodes, Pairs
 from fenics_crack.model.receptance import (
     Receptance,
     make_empty_receptance_list,
@@ -59,13 +63,13 @@ from fenics_crack.study.solve import (
 )
 
 PREPARED_FILE_KIND = "prepared structure"
-CHANGEABLE_KEYS_OF_PREPARED_FILE = (
+CHANGEABLE_KEYS_TEXT = (
     "only load frequency, force_mean, force_cos, force_sin, damping, clearance, contact law, "
     "friction, harmonics, tolerance and [curve] can change in a prepared structure; "
     "for other changes solve the scene"
 )
 """Keys that may change for a prepared file, in words for an error message."""
-SPREAD_NODE_FIELDS = ("points", "dofs", "cells")
+NODE_FIELDS_SPREAD_OVER_RANKS = ("points", "dofs", "cells")
 """Fields of :class:`Nodes` with a row for each node or cell, spread over the ranks."""
 
 
@@ -143,7 +147,7 @@ class PreparedStructure:
     watched: np.ndarray | None
     nodes: Nodes | None
     pairs: Pairs
-    clamp: Clamp | None
+    clamp: ClampReactionData | None
     receptances: tuple[Receptance, ...]
     mass: GatheredCsrMatrix | None = None
     stiffness: GatheredCsrMatrix | None = None
@@ -163,7 +167,7 @@ class PreparedStructure:
         datasets
             Values of the fields ``mass``, ``stiffness``, ``key`` and ``excitation``.
         """
-        structure, comm = structure.original, structure.comm
+        structure, comm = structure.unvaried_structure, structure.comm
         nodes = structure.nodes
         pairs = structure.pairs
         clamp = structure.clamp
@@ -171,7 +175,7 @@ class PreparedStructure:
         structures_with_tangents = (
             [] if pairs.tangential_gap_matrix is None else [structure.with_tangents()]
         )
-        structure_and_variants = [structure, *structures_with_tangents]
+        structure_and_with_tangents = [structure, *structures_with_tangents]
         return cls(
             gap=GatheredCsrMatrix.gather(structure.gap, comm),
             tangential=GatheredCsrMatrix.gather(structure.tangential, comm),
@@ -181,14 +185,16 @@ class PreparedStructure:
             watched=None if watched_row is None else gather_rows(comm, watched_row),
             nodes=nodes and replace(
                 nodes, mesh_dofs=None, vtk_type=vtk_type,
-                **{name: gather_rows(comm, getattr(nodes, name)) for name in SPREAD_NODE_FIELDS},
+                **{name: gather_rows(comm, getattr(nodes, name))
+                   for name in NODE_FIELDS_SPREAD_OVER_RANKS},
             ),
             pairs=replace(pairs, pressure_matrix=None, tangential_gap_matrix=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
             receptances=tuple(
                 replace(stored_receptance, force=np.zeros(0))
-                for structure_variant in structure_and_variants
-                for stored_receptance in structure_variant.compute_once(make_empty_receptance_list)
+                for structure_or_with_tangents in structure_and_with_tangents
+                for stored_receptance in structure_or_with_tangents.compute_once(
+                    make_empty_receptance_list)
             ),
             **datasets,
         )  # fmt: skip
@@ -215,16 +221,16 @@ class PreparedStructure:
         n_dofs, n_pairs = self._check_arrays_and_count_dofs(), len(self.clearance)
         local_slice = slice(None if comm.rank == 0 else 0)
 
-        def local_matrix(sparse_rows: GatheredCsrMatrix | None, n_columns: int) -> Any:
+        def local_matrix(gathered_matrix: GatheredCsrMatrix | None, n_columns: int) -> Any:
             """Return the matrix with all rows on rank 0; None for None."""
-            matrix: Any = sparse_rows and sparse_rows.to_matrix(n_dofs, n_columns)
+            matrix: Any = gathered_matrix and gathered_matrix.to_matrix(n_dofs, n_columns)
             return matrix if comm.rank == 0 or matrix is None else matrix[:0]
 
         mass_matrix, stiffness_matrix = (
             AbsentMatrix(n_dofs, comm.rank)
-            if sparse_rows is None
-            else make_square_petsc_matrix(local_matrix(sparse_rows, n_dofs), comm)
-            for sparse_rows in (self.mass, self.stiffness)
+            if gathered_matrix is None
+            else make_square_petsc_matrix(local_matrix(gathered_matrix, n_dofs), comm)
+            for gathered_matrix in (self.mass, self.stiffness)
         )
         nodes, watched_row, clamp, pairs = self.nodes, self.watched, self.clamp, self.pairs
         pairs = replace(
@@ -239,30 +245,37 @@ class PreparedStructure:
             damping=damping_rule_of(scene.given("damping")),
             tangential=local_matrix(self.tangential, n_pairs),
             nodes=nodes and replace(
-                nodes, **{name: getattr(nodes, name)[local_slice] for name in SPREAD_NODE_FIELDS}
+                nodes,
+                **{name: getattr(nodes, name)[local_slice]
+                   for name in NODE_FIELDS_SPREAD_OVER_RANKS}
             ),
             pairs=pairs,
             watched=None if watched_row is None else watched_row[local_slice],
             clamp=clamp and replace(clamp, inertia=clamp.inertia[:, local_slice]), comm=comm,
         ))  # fmt: skip
         for stored_receptance in self.receptances:
-            structure_and_variants = structure, structure.with_tangents()
-            n_sources = len(stored_receptance.modal)
-            structure_variant = next(
-                candidate_structure
-                for candidate_structure in structure_and_variants
-                if pair_and_load_force_matrix(candidate_structure).shape[1] == n_sources
+            structure_and_with_tangents = structure, structure.with_tangents()
+            n_pair_and_load_forces = len(stored_receptance.modal)
+            structure_of_receptance = next(
+                structure_or_with_tangents
+                for structure_or_with_tangents in structure_and_with_tangents
+                if pair_and_load_force_matrix(structure_or_with_tangents).shape[1]
+                == n_pair_and_load_forces
             )
-            receptance_with_load = replace(stored_receptance, force=structure_variant.force)
-            structure_variant.compute_once(make_empty_receptance_list)[:] = [receptance_with_load]
-            shared_receptances = structure.compute_once(
+            receptance_with_load = replace(stored_receptance, force=structure_of_receptance.force)
+            structure_of_receptance.compute_once(make_empty_receptance_list)[:] = [
+                receptance_with_load
+            ]
+            receptances_shared_by_all_loads = structure.compute_once(
                 make_empty_shared_receptance_list, from_matrices=True
             )
-            shared_receptances[:] = [receptance_with_load]
+            receptances_shared_by_all_loads[:] = [receptance_with_load]
         if not np.array_equal(load_weight_matrix, np.eye(len(structure.force))):
             clamp = structure.clamp and structure.clamp.with_weights(load_weight_matrix)
             weighted_force = load_weight_matrix @ structure.force
-            structure = structure._in_setting(DEFAULT_SETTING, force=weighted_force, clamp=clamp)
+            structure = structure._in_setting(
+                SETTING_WITHOUT_CHANGES, force=weighted_force, clamp=clamp
+            )
         if self.mass is None:
             receptance(structure, 1)
         return structure
@@ -297,19 +310,20 @@ class PreparedStructure:
         }  # fmt: skip
         for receptance_index, stored_receptance in enumerate(self.receptances):
             receptance_prefix = f"receptances.{receptance_index}"
-            n_sources, n_modes = stored_receptance.modal.shape
-            shape_by_field = {
+            n_pair_and_load_forces, n_modes = stored_receptance.modal.shape
+            shape_by_receptance_field = {
                 "squares": (n_modes,),
-                "compliance": (n_sources,) * 2,
+                "compliance": (n_pair_and_load_forces,) * 2,
                 "inertia": (n_pairs,),
             }
             for watched_dof in stored_receptance.rows:
-                shape_by_field |= {
+                shape_by_receptance_field |= {
                     f"rows.{watched_dof}.0": (n_modes,),
-                    f"rows.{watched_dof}.1": (n_sources,),
+                    f"rows.{watched_dof}.1": (n_pair_and_load_forces,),
                 }
             shape_by_name |= {
-                f"{receptance_prefix}.{name}": shape for name, shape in shape_by_field.items()
+                f"{receptance_prefix}.{name}": shape
+                for name, shape in shape_by_receptance_field.items()
             }
             range_by_name |= {
                 f"{receptance_prefix}.squares": (0, MAX_ALLOWED_MAGNITUDE),
@@ -395,15 +409,17 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     >>> kept = scene.replace({"reduction.method": "massless", "reduction.modes": 10})
     >>> fc.save_prepared(fc.prepare(kept), "plate.h5")
     """
-    mode_counts = candidate_mode_counts(prepared, MAX_MODES_FOR_MANY_SOLUTIONS)
-    if mode_counts:
-        prepared = replace(reduce_to_modes(prepared, mode_counts[-1]), scene=prepared.scene)
+    candidate_counts_of_modes = candidate_mode_counts(prepared, MAX_MODES_FOR_MANY_SOLUTIONS)
+    if candidate_counts_of_modes:
+        prepared = replace(
+            reduce_to_modes(prepared, candidate_counts_of_modes[-1]), scene=prepared.scene
+        )
     prepared = reduce_study(prepared)
     scene, structure = prepared.scene, prepared.structure
     if scene.speed > 0.0 or scene.disk is not None:
-        table_name = "disk" if scene.disk is not None else "rotation"
+        refused_table_name = "disk" if scene.disk is not None else "rotation"
         raise InputError(
-            table_name,
+            refused_table_name,
             "a table",
             "left out for a prepared structure, which is at rest; solve the scene itself",
         )
@@ -413,7 +429,9 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
             "solid",
             "'plate' for a prepared structure; or give matrices in [structure]",
         )
-    if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
+    if not structure.has_massless_crack_faces or not isinstance(
+        structure.whole.damping, DampingRule
+    ):
         requirement_text = "reduced with reduction.method = 'massless', and damped by [damping]"
         raise InputError("structure", repr(structure), requirement_text)
     coarser_study_or_reason = prepare_coarser_study_or_reason(prepared)
@@ -518,21 +536,19 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
                 if needs_mesh(file_scene.replace({changed_key: value_of_key})):
                     break
         raise InputError(
-            changed_key,
-            value_of_key,
-            f"as in {stored_file.path}: {CHANGEABLE_KEYS_OF_PREPARED_FILE}",
+            changed_key, value_of_key, f"as in {stored_file.path}: {CHANGEABLE_KEYS_TEXT}"
         )
-    unavailable_quantities = [
+    quantities_that_need_matrices = [
         quantity_name
         for quantity_name in scene.quantities or ()
         if OBSERVABLES_BY_NAME[quantity_name].place.is_made_on_request
     ]
-    if unavailable_quantities:
+    if quantities_that_need_matrices:
         requirement_text = (
             "quantities of points and crack faces in a prepared structure; "
             "for others solve the scene"
         )
-        raise InputError("output.quantities", unavailable_quantities, requirement_text)
+        raise InputError("output.quantities", quantities_that_need_matrices, requirement_text)
     _weight_matrix_between_scene_loads(file_scene, scene)
     return scene
 
@@ -548,12 +564,12 @@ def dependencies_without_amplitudes(dependencies: tuple[Any, Any, Any]) -> tuple
     dependencies : tuple of three
         All values that determine a structure, from :func:`dependencies_of_structure`.
     """
-    mesh_dependencies, (excitation_value_by_key, *other_loads), _ = dependencies
+    mesh_dependencies, (excitation_value_by_key, *dependencies_of_other_loads), _ = dependencies
     amplitude_keys = ("force_mean", "force_cos", "force_sin", "harmonics")
     kept_value_by_key = excitation_value_by_key and {
         key: value for key, value in excitation_value_by_key.items() if key not in amplitude_keys
     }
-    return mesh_dependencies, kept_value_by_key, *other_loads
+    return mesh_dependencies, kept_value_by_key, *dependencies_of_other_loads
 
 
 def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.ndarray:
@@ -564,9 +580,9 @@ def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.nd
     """
     # Equal loads are not computed: the file of a wave may be gone.
     if dependencies_of_load(file_scene) == dependencies_of_load(scene):
-        return np.eye(1 + 2 * file_scene.highest_order)
+        return np.eye(1 + 2 * file_scene.highest_load_harmonic)
     return weight_matrix_of_load_rows(
-        np.array(list_force_harmonic_vectors(file_scene), dtype=float), scene
+        np.array(list_mean_cos_and_sin_force_vectors(file_scene), dtype=float), scene
     )
 
 
@@ -590,24 +606,23 @@ def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.n
         F_scene is no linear combination of the file's rows. Or it differs from F_file, and the
         scene has other loads, too.
     """
-    scene_load_rows = np.array(list_force_harmonic_vectors(scene), dtype=float)
+    scene_load_rows = np.array(list_mean_cos_and_sin_force_vectors(scene), dtype=float)
     has_same_load_rows = np.array_equal(file_load_rows, scene_load_rows)
-    weight_matrix = (
+    weights_of_file_load_rows = (
         np.eye(len(scene_load_rows))
         if has_same_load_rows
         else scene_load_rows @ np.linalg.pinv(file_load_rows)
     )
     is_no_combination_of_file_rows = (
-        np.abs(weight_matrix @ file_load_rows - scene_load_rows).max()
+        np.abs(weights_of_file_load_rows @ file_load_rows - scene_load_rows).max()
         > ROUNDING * np.abs(scene_load_rows).max()
     )
     if is_no_combination_of_file_rows or (scene.has_other_loads and not has_same_load_rows):
         requirement_text = (
-            "in the direction of the file's force, without other loads: "
-            f"{CHANGEABLE_KEYS_OF_PREPARED_FILE}"
+            f"in the direction of the file's force, without other loads: {CHANGEABLE_KEYS_TEXT}"
         )
         raise InputError("excitation.force_sin", scene.excitation.force_sin, requirement_text)
-    return weight_matrix
+    return weights_of_file_load_rows
 
 
 def _make_shared_structure_from_file(
@@ -623,6 +638,6 @@ def _make_shared_structure_from_file(
     file_scene = stored_file.scene()
     assert file_scene is not None
     load_weight_matrix = _weight_matrix_between_scene_loads(file_scene, scene)
-    with stored_file.yield_checked_datasets() as datasets:
+    with stored_file.yield_datasets_with_valid_numbers() as datasets:
         prepared_file: PreparedFileContent = unpack_dataclass(PreparedFileContent, datasets)
         return prepared_file.make_shared_structure(scene, load_weight_matrix, comm)

@@ -33,7 +33,7 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from fenics_crack.basics.errors import InputError, check_choice, check_count
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     Conclusion,
@@ -45,9 +45,9 @@ from fenics_crack.basics.tables import (
     hertz_property,
 )
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.files.store import SavedResult, StoredFile
+from fenics_crack.files.store import SavableResult, StoredFile
 from fenics_crack.model.body import Body
-from fenics_crack.model.matrices import floats_or_nan
+from fenics_crack.model.matrices import floats_or_single_nan
 from fenics_crack.model.modes import (
     FREQUENCY_KIND_NAMES,
     BilinearFrequencies,
@@ -71,7 +71,7 @@ from fenics_crack.study.prepare import scene_contact_law
 from fenics_crack.study.resonance import (
     N_RESONANCE_SEARCH_MODES,
     UNSOUGHT_RESONANCE,
-    LoadResonance,
+    ResonanceUnderLoad,
     find_load_resonance,
 )
 from fenics_crack.study.sharing import assemble_or_reuse_structure
@@ -96,7 +96,7 @@ mode."""
 MAX_REPORTED_ENGINE_ORDER = 8
 """Highest engine order that a diagram shows, and that is reported for a load without engine
 order."""
-FrequenciesAndMarginsFunction = Callable[[float], tuple[np.ndarray, np.ndarray]]
+FrequenciesAndHoldMarginsFunction = Callable[[float], tuple[np.ndarray, np.ndarray]]
 """Function of a rotor speed [rad/s]. Returns natural frequencies [rad/s] and margins, (3, n_modes)
 each: the rows are for a crack held open, shut and partly open. A positive margin says that rotation
 or mean load holds the crack in this state, even if the mode is at resonance."""
@@ -104,9 +104,16 @@ PeakAmplitudeFunction = Callable[[Modes], np.ndarray]
 """Function of n modes. Returns each mode's modal amplitude at its resonance under a load: (n,)."""
 
 
-@with_old_names(between="interpolate_open_and_tied", meetings="yield_crossing_texts")
+@keep_old_attribute_names(
+    at="frequencies_and_margins_at_speed",
+    frequency_real="frequency_in_actual_state",
+    omega_real="omega_in_actual_state",
+    real_line="list_actual_state_line",
+    between="interpolate_open_and_tied",
+    meetings="yield_crossing_texts",
+)
 @dataclass(frozen=True, repr=False)
-class Campbell(SavedResult):
+class Campbell(SavableResult):
     """Result of a Campbell diagram: natural frequencies over the rotor speed.
 
     "tied" stands for bonded crack faces.
@@ -135,11 +142,11 @@ class Campbell(SavedResult):
     coriolis : (m,)
         Relative changes of the open frequencies by the Coriolis force of a solid, at the fastest
         speed. All frequencies here leave the Coriolis force out.
-    at : function of a speed [rad/s], optional
+    frequencies_and_margins_at_speed : function of a speed [rad/s], optional
         Returns frequencies [rad/s] and margins, (3, m) each, for the crack held open, shut and
-        partly open (``FrequenciesAndMarginsFunction``). None in a diagram from a file; the
+        partly open (``FrequenciesAndHoldMarginsFunction``). None in a diagram from a file; the
         blade is then meshed again on demand.
-    met : tuple of (mode, LoadResonance)
+    met : tuple of (mode, ResonanceUnderLoad)
         Mode (from 1) and resonance under the load, for each crossing of the load's engine order
         with a natural frequency.
     """
@@ -153,12 +160,15 @@ class Campbell(SavedResult):
     kind: np.ndarray
     changes: tuple[tuple[int, float, str], ...]
     coriolis: np.ndarray
-    at: FrequenciesAndMarginsFunction | None = None
-    met: tuple[tuple[int, LoadResonance], ...] = ()
+    frequencies_and_margins_at_speed: FrequenciesAndHoldMarginsFunction | None = None
+    met: tuple[tuple[int, ResonanceUnderLoad], ...] = ()
 
     KIND: ClassVar[str] = "Campbell diagram"
     frequency_open, frequency_tied = hertz_property("omega_open"), hertz_property("omega_tied")
-    frequency_partly, frequency_real = hertz_property("omega_partly"), hertz_property("omega_real")
+    frequency_partly, frequency_in_actual_state = (
+        hertz_property("omega_partly"),
+        hertz_property("omega_in_actual_state"),
+    )
     frequency_bilinear = hertz_property("omega_bilinear")
 
     @classmethod
@@ -172,17 +182,18 @@ class Campbell(SavedResult):
         return diagram
 
     @cached_property
-    def _frequencies_and_margins_function(self) -> FrequenciesAndMarginsFunction:
-        """Function from a rotor speed to frequencies and margins, as in :attr:`at`.
+    def _frequencies_and_hold_margins_function(self) -> FrequenciesAndHoldMarginsFunction:
+        """Function for :attr:`frequencies_and_margins_at_speed`.
 
-        If :attr:`at` is None (diagram from a file), the blade is meshed again to make it.
+        If :attr:`frequencies_and_margins_at_speed` is None (diagram from a file), the blade is
+        meshed again to make it.
         """
-        count = self.omega_open.shape[1]
+        n_modes = self.omega_open.shape[1]
         return (
-            self.at
+            self.frequencies_and_margins_at_speed
             or campbell(
-                self.scene, self.speed, count, MPI.COMM_SELF
-            )._frequencies_and_margins_function
+                self.scene, self.speed, n_modes, MPI.COMM_SELF
+            )._frequencies_and_hold_margins_function
         )
 
     @property
@@ -195,7 +206,7 @@ class Campbell(SavedResult):
         return BilinearFrequencies(self.omega_open, self.omega_tied).omega_bilinear
 
     @property
-    def omega_real(self) -> np.ndarray:
+    def omega_in_actual_state(self) -> np.ndarray:
         """Natural frequencies in the crack's actual state: (n, m) [rad/s].
 
         ``kind`` names the state.
@@ -256,7 +267,7 @@ class Campbell(SavedResult):
 
         def omega_minus_order_line(speed: float, mode: int) -> float:
             """Return a mode's w - n W [rad/s], zero at a crossing."""
-            return self._omega_of_kind(mode, speed, kind) - order * speed
+            return self._omega_in_crack_state(mode, speed, kind) - order * speed
 
         is_above = getattr(self, f"omega_{kind}") > order * self.speed[:, None]
         crossings = []
@@ -287,47 +298,51 @@ class Campbell(SavedResult):
             (mode, speed)
             for kind in self.kinds
             for mode, speed in self.crossings(order, kind)
-            if self._kinds_before_and_after(int(mode), speed)[1] == kind
+            if self._crack_state_kinds_around_speed(int(mode), speed)[1] == kind
         ]
         for mode, speed, _ in self.changes:
-            omega_below, omega_above = (
-                self._omega_of_kind(mode, speed, state_kind)
-                for state_kind in self._kinds_before_and_after(mode, speed)
+            omega_below_change_speed, omega_above_change_speed = (
+                self._omega_in_crack_state(mode, speed, state_kind)
+                for state_kind in self._crack_state_kinds_around_speed(mode, speed)
             )
-            if omega_below > order * speed > omega_above:
+            if omega_below_change_speed > order * speed > omega_above_change_speed:
                 crossings.append((mode, speed))
         return np.array(sorted(crossings)).reshape(-1, 2)
 
-    def _kinds_before_and_after(self, mode: int, speed: float) -> tuple[str, str]:
+    def _crack_state_kinds_around_speed(self, mode: int, speed: float) -> tuple[str, str]:
         """Return a mode's kinds of frequency just below and just above a rotor speed.
 
         ``mode`` counts from 1; ``speed`` is in rad/s. Kinds are "open", "tied", "partly",
         "bilinear".
         """
-        speeds_and_kinds = zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)
+        diagram_speeds_and_kinds = zip(
+            self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True
+        )
         change_speeds_and_kinds = [
             (start_speed, kind)
             for changed_mode, start_speed, kind in self.changes
             if changed_mode == mode
         ]
-        start_speeds, kinds = zip(
-            *sorted([*speeds_and_kinds, *change_speeds_and_kinds]), strict=True
+        start_speeds, kinds_from_start_speeds = zip(
+            *sorted([*diagram_speeds_and_kinds, *change_speeds_and_kinds]), strict=True
         )
-        kind_before = kinds[max(bisect_left(start_speeds, speed) - 1, 0)]
-        return kind_before, kinds[bisect_right(start_speeds, speed) - 1]
+        kind_just_below_speed = kinds_from_start_speeds[
+            max(bisect_left(start_speeds, speed) - 1, 0)
+        ]
+        return kind_just_below_speed, kinds_from_start_speeds[bisect_right(start_speeds, speed) - 1]
 
-    def _omega_of_kind(self, mode: int, speed: float, kind: str) -> float:
+    def _omega_in_crack_state(self, mode: int, speed: float, kind: str) -> float:
         """Return a mode's natural frequency [rad/s] at a rotor speed.
 
         Modes count from 1; ``speed`` is in rad/s. ``kind`` is "open", "tied", "partly" or
         "bilinear".
         """
-        omega_of_kinds = self._frequencies_and_margins_function(speed)[0][:, mode - 1]
+        omega_of_kinds = self._frequencies_and_hold_margins_function(speed)[0][:, mode - 1]
         if kind == "bilinear":
             return float(BilinearFrequencies(omega_of_kinds[0], omega_of_kinds[1]).omega_bilinear)
         return float(omega_of_kinds[FREQUENCY_KINDS_OF_HELD_CRACK.index(kind)])
 
-    def real_line(self, mode: int) -> list[tuple[float, float, str]]:
+    def list_actual_state_line(self, mode: int) -> list[tuple[float, float, str]]:
         """Return a mode's frequency over the speed, for the crack's actual state.
 
         Parameters
@@ -341,17 +356,19 @@ class Campbell(SavedResult):
             Points by rising speed: rotor speed [rad/s], natural frequency [rad/s] and kind (crack
             state). At a change of the state there are two points.
         """
-        speeds = {
+        diagram_and_change_speeds = {
             *self.speed.tolist(),
             *(speed for changed_mode, speed, _ in self.changes if changed_mode == mode),
         }
         return [
-            (speed, self._omega_of_kind(mode, speed, kind), kind)
-            for speed in sorted(speeds)
-            for kind in dict.fromkeys(self._kinds_before_and_after(mode, speed))
+            (speed, self._omega_in_crack_state(mode, speed, kind), kind)
+            for speed in sorted(diagram_and_change_speeds)
+            for kind in dict.fromkeys(self._crack_state_kinds_around_speed(mode, speed))
         ]
 
-    def _list_crossings_with_resonances(self, order: int) -> list[tuple[int, float, LoadResonance]]:
+    def _list_crossings_with_resonances(
+        self, order: int
+    ) -> list[tuple[int, float, ResonanceUnderLoad]]:
         """Return each crossing of an engine order, with the resonance near it.
 
         Returns
@@ -380,12 +397,15 @@ class Campbell(SavedResult):
             crossing_text = f"engine order {order} meets mode {mode} at "
             if math.isfinite(resonance.value):
                 crossing_text += (
-                    f"{_speed_in_words(resonance.value)} under the load, {resonance.in_words}; "
+                    f"{_speed_in_words(resonance.value)} under the load, "
+                    f"{resonance.amplitude_and_errors_text}; "
                     "estimated at "
                 )
             crossing_text += _speed_in_words(speed)
             if self.cracked:
-                kinds_at_crossing = [*dict.fromkeys(self._kinds_before_and_after(mode, speed))]
+                kinds_at_crossing = [
+                    *dict.fromkeys(self._crack_state_kinds_around_speed(mode, speed))
+                ]
                 other_state_texts = [
                     f"{_speed_in_words(other_state_speed)} with the crack "
                     f"{CRACK_STATE_BY_FREQUENCY_KIND[kind]}"
@@ -504,20 +524,22 @@ class Campbell(SavedResult):
         only the number of modes.
         """
         order = self.scene.excitation.order
-        axis_of_speed = choose_speed_factor_name_unit(self.scene.is_speed_in_rpm)
-        outcome_text = (
+        speed_factor_name_unit = choose_speed_factor_name_unit(self.scene.is_speed_in_rpm)
+        modes_and_speed_range_text = (
             f"{format_count(self.omega_open.shape[1], 'mode')} found between "
-            f"{format_in_unit(axis_of_speed, self.speed[0], self.speed[-1])}"
+            f"{format_in_unit(speed_factor_name_unit, self.speed[0], self.speed[-1])}"
         )
         if order is None:
-            return Conclusion(outcome_text)
+            return Conclusion(modes_and_speed_range_text)
         crossing_texts = [
             f"mode {mode} at "
-            f"{format_in_unit(axis_of_speed, speed if resonance.unknown else resonance.value)}"
+            + format_in_unit(
+                speed_factor_name_unit, speed if resonance.unknown else resonance.value
+            )
             for mode, speed, resonance in self._list_crossings_with_resonances(order)
         ]
         return Conclusion(
-            outcome_text,
+            modes_and_speed_range_text,
             f"engine order {order} meets {', '.join(crossing_texts) or 'none of these modes'}",
         )
 
@@ -573,11 +595,11 @@ def campbell(
     scene.given("rotation")
     _, rotation_axis = scene.axis_point_and_direction
     check_count("count", few if count is None else count, 1)
-    speed_array = np.atleast_1d(floats_or_nan(speeds))
-    is_rising = (
+    speed_array = np.atleast_1d(floats_or_single_nan(speeds))
+    has_rising_speeds = (
         speed_array.ndim == 1 and len(speed_array) > 1 and bool(np.all(np.diff(speed_array) > 0.0))
     )
-    if not (is_rising and speed_array[0] >= 0.0 and np.isfinite(speed_array[-1])):
+    if not (has_rising_speeds and speed_array[0] >= 0.0 and np.isfinite(speed_array[-1])):
         raise InputError("speeds", speeds, "two or more finite numbers >= 0 that increase [rad/s]")
     top_scene = with_crack_length(scene.replace({"rotation.speed": float(speed_array[-1])}), comm)
     top_structure = assemble_or_reuse_structure(top_scene, comm)
@@ -595,24 +617,35 @@ def campbell(
     peak_amplitude_function = partial(_find_modal_peak_amplitudes, complex_load, top_structure)
 
     @cache
-    def find_frequencies_and_margins(speed: float) -> tuple[np.ndarray, np.ndarray]:
-        return _find_frequencies_and_margins(
+    def find_frequencies_and_hold_margins(speed: float) -> tuple[np.ndarray, np.ndarray]:
+        return _find_frequencies_and_hold_margins(
             projection.structure_at_speed(speed), peak_amplitude_function, count, n_bonded
         )
 
     omega_of_states, hold_margins = zip(
-        *map(find_frequencies_and_margins, speed_array.tolist()), strict=True
+        *map(find_frequencies_and_hold_margins, speed_array.tolist()), strict=True
     )
     omega_open, omega_tied, omega_partly = np.moveaxis(omega_of_states, 1, 0)
     kind_changes = tuple(
         (mode_index + 1, speed, kind)
         for mode_index in range(count)
         for interval in pairwise(speed_array.tolist())
-        for speed, kind in _yield_state_changes(find_frequencies_and_margins, *interval, mode_index)
+        for speed, kind in _yield_state_changes(
+            find_frequencies_and_hold_margins, *interval, mode_index
+        )
     )
-    frequency_kinds = np.array([_frequency_kinds_from_margins(margins) for margins in hold_margins])
-    projected_modes = solve_modes(projection.structure_at_speed(speed_array[-1]), count)
-    modes = Modes(projected_modes.omega, projection.basis @ projected_modes.shapes, top_structure)
+    frequency_kinds = np.array(
+        [
+            _frequency_kinds_from_margins(hold_margins_at_speed)
+            for hold_margins_at_speed in hold_margins
+        ]
+    )
+    modes_in_ritz_coordinates = solve_modes(projection.structure_at_speed(speed_array[-1]), count)
+    modes = Modes(
+        modes_in_ritz_coordinates.omega,
+        projection.basis @ modes_in_ritz_coordinates.shapes,
+        top_structure,
+    )
     relative_coriolis_changes = relative_coriolis_shifts(modes, speed_array[-1] * rotation_axis)
     diagram = Campbell(
         scene,
@@ -624,7 +657,7 @@ def campbell(
         frequency_kinds,
         kind_changes,
         relative_coriolis_changes,
-        find_frequencies_and_margins,
+        find_frequencies_and_hold_margins,
     )
     damped_projection = replace(projection, structure=top_structure)
     return replace(diagram, met=_find_modes_and_load_resonances(diagram, damped_projection))
@@ -632,7 +665,7 @@ def campbell(
 
 def _find_modes_and_load_resonances(
     diagram: Campbell, projection: RitzProjection
-) -> tuple[tuple[int, LoadResonance], ...]:
+) -> tuple[tuple[int, ResonanceUnderLoad], ...]:
     """Find the resonance at each crossing of the load's engine order.
 
     A resonance is that of the nonlinear structure under the load.
@@ -646,7 +679,7 @@ def _find_modes_and_load_resonances(
 
     Returns
     -------
-    tuple of (mode, LoadResonance)
+    tuple of (mode, ResonanceUnderLoad)
         Mode (from 1) and resonance, in the order of the crossings. Empty without an engine order or
         a contact law.
     """
@@ -677,7 +710,7 @@ def report_of_campbell(diagram: Campbell) -> Report:
     """
     scene = diagram.scene
     load_engine_order = scene.excitation.order
-    frequency_prefix = (
+    frequency_column_prefix = (
         "frequency" if scene.is_frequency_in_hertz or scene.is_speed_in_rpm else "omega"
     )
     orders = (
@@ -689,12 +722,14 @@ def report_of_campbell(diagram: Campbell) -> Report:
     if not notes and load_engine_order is None:
         notes = [f"engine orders 1 to {MAX_REPORTED_ENGINE_ORDER} meet no mode at these speeds"]
     if coriolis_text := describe_coriolis(diagram.coriolis):
-        speed_axis = choose_speed_factor_name_unit(scene.is_speed_in_rpm)
-        notes.append(f"at {format_in_unit(speed_axis, diagram.speed[-1])} {coriolis_text}")
+        speed_factor_name_unit = choose_speed_factor_name_unit(scene.is_speed_in_rpm)
+        notes.append(
+            f"at {format_in_unit(speed_factor_name_unit, diagram.speed[-1])} {coriolis_text}"
+        )
     column_names = [
         "rpm" if scene.is_speed_in_rpm else "speed",
         "mode",
-        *(f"{frequency_prefix}_{kind}" for kind in diagram.kinds),
+        *(f"{frequency_column_prefix}_{kind}" for kind in diagram.kinds),
         *(["crack"] if diagram.cracked else []),
     ]
     return Report(
@@ -721,7 +756,7 @@ def _frequency_kinds_from_margins(hold_margins: np.ndarray) -> np.ndarray:
 
 
 def _yield_state_changes(
-    find_frequencies_and_margins: FrequenciesAndMarginsFunction,
+    find_frequencies_and_hold_margins: FrequenciesAndHoldMarginsFunction,
     lower_speed: float,
     upper_speed: float,
     mode_index: int,
@@ -735,9 +770,9 @@ def _yield_state_changes(
 
     Parameters
     ----------
-    find_frequencies_and_margins : callable
+    find_frequencies_and_hold_margins : callable
         Returns frequencies and margins of three states at a speed
-        (``FrequenciesAndMarginsFunction``).
+        (``FrequenciesAndHoldMarginsFunction``).
     lower_speed, upper_speed : float [rad/s]
         Ends of the range.
     mode_index : int
@@ -749,17 +784,17 @@ def _yield_state_changes(
         Speed [rad/s], and the kind of frequency from this speed on.
     """
     lower_kind, upper_kind = (
-        str(_frequency_kinds_from_margins(find_frequencies_and_margins(speed)[1])[mode_index])
+        str(_frequency_kinds_from_margins(find_frequencies_and_hold_margins(speed)[1])[mode_index])
         for speed in (lower_speed, upper_speed)
     )
-    held_kinds = {lower_kind, upper_kind} - {"bilinear"}
-    if lower_kind != upper_kind and len(held_kinds) == 1:
-        [kind_index] = map(FREQUENCY_KINDS_OF_HELD_CRACK.index, held_kinds)
-        change_speed = brentq(
-            lambda speed: find_frequencies_and_margins(speed)[1][kind_index, mode_index],
+    held_kinds_at_both_ends = {lower_kind, upper_kind} - {"bilinear"}
+    if lower_kind != upper_kind and len(held_kinds_at_both_ends) == 1:
+        [kind_index] = map(FREQUENCY_KINDS_OF_HELD_CRACK.index, held_kinds_at_both_ends)
+        speed_of_state_change = brentq(
+            lambda speed: find_frequencies_and_hold_margins(speed)[1][kind_index, mode_index],
             lower_speed, upper_speed, rtol=SPEED_SEARCH_RELATIVE_TOLERANCE,
         )  # fmt: skip
-        yield change_speed, upper_kind
+        yield speed_of_state_change, upper_kind
     elif (
         lower_kind != upper_kind
         and upper_speed - lower_speed <= SPEED_SEARCH_RELATIVE_TOLERANCE * upper_speed
@@ -768,10 +803,10 @@ def _yield_state_changes(
     elif lower_kind != upper_kind:
         middle_speed = 0.5 * (lower_speed + upper_speed)
         yield from _yield_state_changes(
-            find_frequencies_and_margins, lower_speed, middle_speed, mode_index
+            find_frequencies_and_hold_margins, lower_speed, middle_speed, mode_index
         )
         yield from _yield_state_changes(
-            find_frequencies_and_margins, middle_speed, upper_speed, mode_index
+            find_frequencies_and_hold_margins, middle_speed, upper_speed, mode_index
         )
 
 
@@ -807,7 +842,7 @@ def _find_modal_peak_amplitudes(
     )
 
 
-def _find_frequencies_and_margins(
+def _find_frequencies_and_hold_margins(
     structure: Structure,
     peak_amplitude_function: PeakAmplitudeFunction,
     n_modes: int,
@@ -847,16 +882,18 @@ def _find_frequencies_and_margins(
         structure, structure.force[0], clearance
     )
     is_pressed = pair_forces > 0.0
-    pair_openings = np.where(
+    pair_openings_at_rest = np.where(
         is_pressed, 0.0, clearance - structure.apply_bt(static_displacement[None])[0]
     )
     bonded_masks = np.array([np.zeros_like(is_pressed), np.ones_like(is_pressed), is_pressed])
-    rest_states = np.where(bonded_masks, pair_forces, pair_openings)
+    rest_forces_or_openings_of_states = np.where(bonded_masks, pair_forces, pair_openings_at_rest)
     frequencies_and_margins = [
         _find_held_frequencies_and_margins(
-            open_modes, peak_amplitude_function, rest_state, is_bonded, n_bonded_modes
+            open_modes, peak_amplitude_function, rest_forces_or_openings, is_bonded, n_bonded_modes
         )
-        for rest_state, is_bonded in zip(rest_states, bonded_masks, strict=True)
+        for rest_forces_or_openings, is_bonded in zip(
+            rest_forces_or_openings_of_states, bonded_masks, strict=True
+        )
     ]
     omega_of_states, hold_margins = np.moveaxis(frequencies_and_margins, 1, 0)
     if is_pressed.all() or not is_pressed.any():
@@ -867,7 +904,7 @@ def _find_frequencies_and_margins(
 def _find_held_frequencies_and_margins(
     open_modes: Modes,
     peak_amplitude_function: PeakAmplitudeFunction,
-    rest_state: np.ndarray,
+    rest_forces_or_openings: np.ndarray,
     is_bonded: np.ndarray,
     n_bonded_modes: int,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -879,7 +916,7 @@ def _find_held_frequencies_and_margins(
         Modes with open crack. A mode with bonds is selected for each, with the most similar shape.
     peak_amplitude_function : callable
         Returns the modal amplitudes at resonance (:data:`PeakAmplitudeFunction`).
-    rest_state : (n_pairs,) [m], [N]
+    rest_forces_or_openings : (n_pairs,) [m], [N]
         For an open pair the opening at rest [m], for a bonded pair the force at rest [N].
     is_bonded : (n_pairs,) of bool
         True for bonded pairs.
@@ -897,18 +934,20 @@ def _find_held_frequencies_and_margins(
     bonded_gap_rows = structure.gap[:, is_bonded]
     bond_force_amplitudes = np.zeros((0, len(open_modes.omega)))
     if is_bonded.any():
-        body = Body(
+        body_with_bonded_gaps_only = Body(
             structure.mass,
             structure.stiffness,
             bonded_gap_rows,
             structure.force,
             np.zeros(bonded_gap_rows.shape[1]),
         )
-        bonded_structure = Structure(body)
+        bonded_structure = Structure(body_with_bonded_gaps_only)
         bonded_modes = solve_modes(bonded_structure, n_bonded_modes, lips="tied")
-        mode_indices = find_bonded_mode_indices(open_modes, bonded_modes)
+        bonded_mode_indices = find_bonded_mode_indices(open_modes, bonded_modes)
         modes = Modes(
-            bonded_modes.omega[mode_indices], bonded_modes.shapes[:, mode_indices], structure
+            bonded_modes.omega[bonded_mode_indices],
+            bonded_modes.shapes[:, bonded_mode_indices],
+            structure,
         )
         stiffness_products, mass_products = (
             multiply_columns(stiffness_or_mass, modes.shapes)
@@ -920,8 +959,9 @@ def _find_held_frequencies_and_margins(
         bond_force_amplitudes = np.abs(np.linalg.lstsq(
             (bonded_gap_rows.T @ bonded_gap_rows).toarray(), unbalanced_forces, rcond=None
         )[0])  # fmt: skip
-    pair_amplitudes = np.abs(structure.apply_bt(modes.shapes.T)).T
-    pair_amplitudes[is_bonded] = bond_force_amplitudes
+    gap_or_bond_force_of_unit_modes = np.abs(structure.apply_bt(modes.shapes.T)).T
+    gap_or_bond_force_of_unit_modes[is_bonded] = bond_force_amplitudes
     return modes.omega, (
-        rest_state[:, None] - peak_amplitude_function(modes) * pair_amplitudes
+        rest_forces_or_openings[:, None]
+        - peak_amplitude_function(modes) * gap_or_bond_force_of_unit_modes
     ).min(axis=0)

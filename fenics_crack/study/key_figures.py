@@ -44,7 +44,7 @@ from fenics_crack.study.resonance import (
     FACTOR_AND_UNIT_BY_CURVE_PARAMETER,
     N_RESONANCE_SEARCH_MODES,
     UNSOUGHT_RESONANCE,
-    LoadResonance,
+    ResonanceUnderLoad,
     curve_parameter_at_crossing,
 )
 
@@ -53,14 +53,14 @@ N_KEY_FIGURE_MODES = 4
 
 
 @dataclass(frozen=True)
-class KeyFigures:
+class PreSolutionKeyFigures:
     """Key figures of a scene's structure, by which ``check`` finds unusual values.
 
     Attributes
     ----------
     mesh_extents : (d,) [m]
         Width, height and, for a solid, thickness of the mesh.
-    n_face_elements : int or None
+    n_elements_along_face : int or None
         Number of elements along a crack face, for the crack with the fewest; None without a crack.
     omega_open, omega_tied : (at most 4,) [rad/s]
         Lowest natural frequencies with open and with bonded crack. If the bonded structure has
@@ -85,9 +85,9 @@ class KeyFigures:
     peak_open_crack_displacement, peak_open_crack_gap_motion : float [m]
         Largest amplitudes of the watched displacements and of the gaps. The crack is open, and the
         maximum is over the load frequencies that the scene requests.
-    peak_open_crack_rotation : float [rad]
+    peak_open_rotation_about_clamp : float [rad]
         Largest amplitude of a watched displacement over its distance from the clamp.
-    n_closed_pairs : int
+    n_pairs_closed_by_mean_load : int
         Number of pairs that are closed under the mean load and the preload alone.
     breathes : bool
         True if a pair opens or closes at the requested frequencies.
@@ -95,12 +95,12 @@ class KeyFigures:
         Number of natural frequencies below the frequency of the highest harmonic; 0 without pairs.
     n_kept_modes : int
         Number of modes after the reduction.
-    load_resonance : LoadResonance
+    load_resonance : ResonanceUnderLoad
         Resonance under the scene's load, if it has been sought.
     """
 
     mesh_extents: tuple[float, ...]
-    n_face_elements: int | None
+    n_elements_along_face: int | None
     omega_open: np.ndarray
     omega_tied: np.ndarray
     omega_bilinear: np.ndarray
@@ -111,16 +111,16 @@ class KeyFigures:
     opening_under_mean_load: float
     largest_static_gap_motion: float
     peak_open_crack_displacement: float
-    peak_open_crack_rotation: float
+    peak_open_rotation_about_clamp: float
     peak_open_crack_gap_motion: float
-    n_closed_pairs: int
+    n_pairs_closed_by_mean_load: int
     breathes: bool
     n_modes_below_highest_harmonic: int
     n_kept_modes: int
-    load_resonance: LoadResonance = UNSOUGHT_RESONANCE
+    load_resonance: ResonanceUnderLoad = UNSOUGHT_RESONANCE
 
 
-def find_key_figures(study: Study) -> KeyFigures:
+def find_key_figures(study: Study) -> PreSolutionKeyFigures:
     """Compute natural frequencies, static responses and amplitudes for remarks (collective).
 
     Linear equations are solved, and a single nonlinear problem: which pairs the mean load closes. A
@@ -148,7 +148,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     )
     is_closed = pressing_forces > 0.0
     watched_dofs = [watched_displacement.dof for watched_displacement in study.watched]
-    clamp_distances = distances_from_clamp(structure.whole, watched_dofs)
+    watched_distances_from_clamp = distances_from_clamp(structure.whole, watched_dofs)
     peak_displacement, peak_rotation, peak_gap_motion, breathes = 0.0, 0.0, 0.0, False
     for omega in _list_requested_omegas(scene, np.concatenate([modes.omega, bonded_modes.omega])):
         (
@@ -159,34 +159,42 @@ def find_key_figures(study: Study) -> KeyFigures:
             modal_gaps, is_closed, watched_dofs, omega,
         )  # fmt: skip
         peak_displacement = max(peak_displacement, float(watched_amplitudes.max(initial=0.0)))
-        rotation_amplitudes = watched_amplitudes / clamp_distances
-        peak_rotation = max(peak_rotation, float(rotation_amplitudes.max(initial=0.0)))
+        rotation_amplitudes_about_clamp = watched_amplitudes / watched_distances_from_clamp
+        peak_rotation = max(peak_rotation, float(rotation_amplitudes_about_clamp.max(initial=0.0)))
         peak_gap_motion = max(peak_gap_motion, float(open_crack_gap_amplitudes.max(initial=0.0)))
-        is_closing = (
+        can_open_pair_close = (
             mean_load_gaps - face_compliance @ pressing_forces + closed_pairs_gap_amplitudes >= 0.0
         )
         breathes |= bool(
-            np.any(np.where(is_closed, pressing_forces <= contact_force_amplitudes, is_closing))
+            np.any(
+                np.where(
+                    is_closed, pressing_forces <= contact_force_amplitudes, can_open_pair_close
+                )
+            )
         )
-    face_stiffness = 1.0 / np.maximum(np.diagonal(face_compliance), 1e-300)
-    pair_stiffness = (
+    structural_stiffness_at_pairs = 1.0 / np.maximum(np.diagonal(face_compliance), 1e-300)
+    contact_law_stiffness = (
         None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
     )
     reduction = modal_reduction_or_none(scene, structure)
-    return KeyFigures(
+    return PreSolutionKeyFigures(
         mesh_extents=mesh_extents(structure.whole),
-        n_face_elements=_count_elements_along_face(scene, structure),
+        n_elements_along_face=_count_elements_along_face(scene, structure),
         omega_open=modes.omega, omega_tied=bonded_modes.omega,
         omega_bilinear=bilinear_frequencies.omega_bilinear,
-        damping_ratios=modal_damping_ratios, squared_omega_slopes=_slopes_of_squared_omegas(modes),
-        face_stiffness_at_pairs=face_stiffness,
-        contact_stiffness_ratio=None if pair_stiffness is None else pair_stiffness / face_stiffness,
+        damping_ratios=modal_damping_ratios,
+        squared_omega_slopes=_squared_omega_slopes_over_speed(modes),
+        face_stiffness_at_pairs=structural_stiffness_at_pairs,
+        contact_stiffness_ratio=None if contact_law_stiffness is None
+        else contact_law_stiffness / structural_stiffness_at_pairs,
         opening_under_mean_load=float(np.max(-mean_load_gaps, initial=0.0)) + 0.0,
         largest_static_gap_motion=float(
             np.abs(static_complex_amplitudes[1]).sum(axis=0).max(initial=0.0)
         ),
-        peak_open_crack_displacement=peak_displacement, peak_open_crack_rotation=peak_rotation,
-        peak_open_crack_gap_motion=peak_gap_motion, n_closed_pairs=int(is_closed.sum()),
+        peak_open_crack_displacement=peak_displacement,
+        peak_open_rotation_about_clamp=peak_rotation,
+        peak_open_crack_gap_motion=peak_gap_motion,
+        n_pairs_closed_by_mean_load=int(is_closed.sum()),
         breathes=breathes,
         n_modes_below_highest_harmonic=_count_modes_below(
             structure, search_modes, highest_harmonic_omega(scene)
@@ -288,28 +296,32 @@ def _amplitude_bounds(
     for harmonic, (static_displacement, static_gap, modal_load) in enumerate(
         zip(*static_complex_amplitudes, strict=True), 1
     ):
-        modal_receptance_increase = _modal_receptance_increase(
+        modal_receptances_minus_static = _modal_receptances_minus_static(
             modes.omega, modal_damping_ratios, harmonic * load_omega
         )
-        modal_amplitudes = modal_receptance_increase * modal_load
-        displacement_amplitude = static_displacement + modal_amplitudes @ modes.shapes.T
+        modal_amplitudes_minus_static = modal_receptances_minus_static * modal_load
+        displacement_amplitude = (
+            static_displacement + modal_amplitudes_minus_static @ modes.shapes.T
+        )
         real_and_imaginary_parts = structure.values_at(
             np.stack([displacement_amplitude.real, displacement_amplitude.imag]), watched_dofs
         )
         watched_amplitudes = watched_amplitudes + np.hypot(*real_and_imaginary_parts)
-        gaps = static_gap + modal_amplitudes @ modal_gaps
-        dynamic_compliance = (
-            face_compliance + (modal_gaps.T * modal_receptance_increase) @ modal_gaps
+        complex_gap_amplitudes = static_gap + modal_amplitudes_minus_static @ modal_gaps
+        dynamic_face_compliance = (
+            face_compliance + (modal_gaps.T * modal_receptances_minus_static) @ modal_gaps
         )
-        contact_forces = np.zeros(structure.n_pairs, dtype=complex)
-        closed_compliance = dynamic_compliance[np.ix_(is_closed, is_closed)]
-        contact_forces[is_closed] = np.linalg.lstsq(closed_compliance, gaps[is_closed], rcond=None)[
-            0
-        ]
-        open_crack_gap_amplitudes = open_crack_gap_amplitudes + np.abs(gaps)
-        contact_force_amplitudes = contact_force_amplitudes + np.abs(contact_forces)
+        complex_contact_force_amplitudes = np.zeros(structure.n_pairs, dtype=complex)
+        compliance_between_closed_pairs = dynamic_face_compliance[np.ix_(is_closed, is_closed)]
+        complex_contact_force_amplitudes[is_closed] = np.linalg.lstsq(
+            compliance_between_closed_pairs, complex_gap_amplitudes[is_closed], rcond=None
+        )[0]
+        open_crack_gap_amplitudes = open_crack_gap_amplitudes + np.abs(complex_gap_amplitudes)
+        contact_force_amplitudes = contact_force_amplitudes + np.abs(
+            complex_contact_force_amplitudes
+        )
         closed_pairs_gap_amplitudes = closed_pairs_gap_amplitudes + np.abs(
-            gaps - dynamic_compliance @ contact_forces
+            complex_gap_amplitudes - dynamic_face_compliance @ complex_contact_force_amplitudes
         )
     return (
         watched_amplitudes,
@@ -356,7 +368,7 @@ def _static_displacements(stiffness_factor: Factor, modes: Modes, forces: np.nda
     )
 
 
-def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
+def _squared_omega_slopes_over_speed(modes: Modes) -> np.ndarray:
     """Return slopes of squared natural frequencies over the squared rotor speed: (n_modes,).
 
     S = d(w^2) / d(W^2) for the natural frequency w and the rotor speed W; 0 without rotation.
@@ -367,13 +379,13 @@ def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
     rotation = structure.rotation if structure.n_sectors == 1 else structure.whole.rotation
     if rotation is None:
         return slopes
-    K_2, K_3 = rotation.displaced_shape_stiffness_terms
+    second_rotation_stiffness, third_rotation_stiffness = rotation.displaced_shape_stiffness_terms
     for mode_index, mode_shape in enumerate(modes.shapes.T):
         sector_shapes = np.vstack(list(structure.iterate_sector_displacements(mode_shape[None]))).T
         stiffness_products = (
             multiply_columns(rotation.rotation_stiffness, sector_shapes)
-            + multiply_columns(K_2, sector_shapes)
-            + 2.0 * rotation.speed**2 * multiply_columns(K_3, sector_shapes)
+            + multiply_columns(second_rotation_stiffness, sector_shapes)
+            + 2.0 * rotation.speed**2 * multiply_columns(third_rotation_stiffness, sector_shapes)
         )
         slopes[mode_index] = structure.sum_over_ranks((sector_shapes * stiffness_products).sum())
     return slopes
@@ -387,9 +399,11 @@ def _count_elements_along_face(scene: Scene, structure: Structure) -> int | None
     """
     if not structure.n_pairs:
         return None
-    crack_indices = structure.pairs.cracks
+    crack_index_of_pairs = structure.pairs.cracks
     n_pairs_of_smallest_crack = (
-        structure.n_pairs if crack_indices is None else int(np.bincount(crack_indices).min())
+        structure.n_pairs
+        if crack_index_of_pairs is None
+        else int(np.bincount(crack_index_of_pairs).min())
     )
     return math.ceil(
         n_pairs_of_smallest_crack
@@ -417,8 +431,8 @@ def distances_from_clamp(whole_structure: Structure, dofs: Sequence[int]) -> np.
     if whole_structure.nodes is None:
         return np.full(len(dofs), np.inf)
     points, node_dofs = (
-        gather_rows(whole_structure.comm, local_rows)
-        for local_rows in (whole_structure.nodes.points, whole_structure.nodes.dofs)
+        gather_rows(whole_structure.comm, local_points_or_dofs)
+        for local_points_or_dofs in (whole_structure.nodes.points, whole_structure.nodes.dofs)
     )
     clamp_points, longest_side = points[np.all(node_dofs < 0, axis=1)], np.ptp(points, axis=0).max()
     offsets_of_dofs = [
@@ -457,7 +471,7 @@ def list_modal_damping_ratios(whole_structure: Structure, natural_omegas: np.nda
     return modal_damping_ratios
 
 
-def _modal_receptance_increase(
+def _modal_receptances_minus_static(
     natural_omegas: np.ndarray, modal_damping_ratios: np.ndarray, omega: float
 ) -> np.ndarray:
     """Return d_j(w) - 1 / w_j^2 of modes j: complex (n,) [s^2].
@@ -470,12 +484,12 @@ def _modal_receptance_increase(
     """
     squared_omegas = natural_omegas**2
     denominators = squared_omegas - omega**2 + 2j * modal_damping_ratios * natural_omegas * omega
-    static_receptance = np.divide(
+    static_receptances_of_modes = np.divide(
         1.0, squared_omegas, out=np.zeros_like(squared_omegas), where=squared_omegas > 0.0
     )
     return (
         1.0 / np.where(denominators == 0.0, 1e-12 * squared_omegas, denominators)
-        - static_receptance
+        - static_receptances_of_modes
     )
 
 
@@ -489,14 +503,18 @@ def _list_requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[flo
     ``natural_omegas`` within a range are added.
     """
     omegas = {scene.excitation.omega}
-    for lowest_omega, highest_omega in (
+    for lowest_load_omega, highest_load_omega in (
         lowest_and_highest_load_omega(scene, "curve"),
         lowest_and_highest_load_omega(scene, "sweep"),
     ):
         omegas |= {
-            lowest_omega,
-            highest_omega,
-            *(float(omega) for omega in natural_omegas if lowest_omega <= omega <= highest_omega),
+            lowest_load_omega,
+            highest_load_omega,
+            *(
+                float(omega)
+                for omega in natural_omegas
+                if lowest_load_omega <= omega <= highest_load_omega
+            ),
         }
     return sorted(omegas)
 
@@ -541,7 +559,7 @@ def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
 # --- the curve through the resonance --------------------------------------------------------------
 
 
-def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None:
+def propose_curve_or_none(scene: Scene, key_figures: PreSolutionKeyFigures) -> Curve | None:
     """Propose a table ``[curve]`` through the resonance, or return None.
 
     The proposed curve extends three half-power widths beyond the resonance under the load, and
@@ -572,9 +590,9 @@ def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None
     if not (open_omega > 0.0 and bilinear_omega < 2.0 * open_omega and bandwidth_factor > 1.0):
         return None
     bonded_omega = 1.0 / (2.0 / bilinear_omega - 1.0 / open_omega)  # of the same mode
-    slope = key_figures.squared_omega_slopes[mode_index]
-    lowest_resonance, highest_resonance, start, stop = (
-        curve_parameter_at_crossing(scene, parameter, omega, slope)
+    squared_omega_slope_over_speed = key_figures.squared_omega_slopes[mode_index]
+    parameter_at_lowest_resonance, parameter_at_highest_resonance, start, stop = (
+        curve_parameter_at_crossing(scene, parameter, omega, squared_omega_slope_over_speed)
         for omega in (
             open_omega,
             bonded_omega,
@@ -583,15 +601,21 @@ def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None
         )
     )
     if not load_resonance.unknown and is_speed_curve == (parameter in ("speed", "rpm")):
-        lowest_resonance = highest_resonance = load_resonance.value
-        start = min(lowest_resonance, load_resonance.rest) - 3.0 * load_resonance.width
-        stop = max(highest_resonance, load_resonance.rest) + 3.0 * load_resonance.width
-    is_met = (
+        parameter_at_lowest_resonance = parameter_at_highest_resonance = load_resonance.value
+        start = (
+            min(parameter_at_lowest_resonance, load_resonance.omega_or_speed_under_small_load)
+            - 3.0 * load_resonance.width
+        )
+        stop = (
+            max(parameter_at_highest_resonance, load_resonance.omega_or_speed_under_small_load)
+            + 3.0 * load_resonance.width
+        )
+    has_resonance_in_scene_curve = (
         curve_table is not None
-        and min(curve_table.parameter_and_range[1:]) <= highest_resonance
-        and max(curve_table.parameter_and_range[1:]) >= lowest_resonance
+        and min(curve_table.parameter_and_range[1:]) <= parameter_at_highest_resonance
+        and max(curve_table.parameter_and_range[1:]) >= parameter_at_lowest_resonance
     )
-    if is_met or not 0.0 < start < stop < math.inf:
+    if has_resonance_in_scene_curve or not 0.0 < start < stop < math.inf:
         return None
     unit_factor = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[parameter][0]
     return Curve(
@@ -616,7 +640,7 @@ def is_response_proportional_to_load(scene: Scene) -> bool:
     """
     contact_table = scene.contact
     if contact_table is not None and (
-        not contact_table.is_unilateral or contact_table.layer_depth is not None
+        not contact_table.has_force_only_when_closed or contact_table.layer_depth is not None
     ):
         return False
     if scene.speed > 0.0:

@@ -38,44 +38,49 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
 
     Without a usable coarser mesh, a text with the reason is returned instead.
     """
-    structure, coarser_scene = study.structure, make_coarser_scene_or_reason(study.scene)
+    fine_structure, coarser_scene = study.structure, make_coarser_scene_or_reason(study.scene)
     if isinstance(coarser_scene, str):
         return coarser_scene
     scene = study.scene
     with prefix_stages("a coarser mesh"):
-        is_unreduced = structure.whole is structure
-        coarser_shared_structures = structure.whole.compute_once(
+        is_unreduced = fine_structure.whole is fine_structure
+        coarser_shared_structures = fine_structure.whole.compute_once(
             make_empty_coarser_structure_list, from_matrices=True
         )
         coarser_study = prepare(
             coarser_scene,
-            structure.comm,
+            fine_structure.comm,
             whole=is_unreduced,
             judged=False,
             last=coarser_shared_structures,
         )
-    element_counts = count_elements(structure), count_elements(coarser_study.structure)
-    if not element_counts[1] < element_counts[0]:
-        return "a coarser mesh has as many elements: refine the mesh"
-    fine_extents, coarser_extents = (
-        np.array(mesh_extents(meshed_structure.whole))
-        for meshed_structure in (structure, coarser_study.structure)
+    fine_and_coarser_element_counts = (
+        count_elements(fine_structure),
+        count_elements(coarser_study.structure),
     )
-    coarser_element_length = (coarser_extents.prod() / element_counts[1]) ** (
-        1.0 / len(coarser_extents)
+    if not fine_and_coarser_element_counts[1] < fine_and_coarser_element_counts[0]:
+        return "a coarser mesh has as many elements: refine the mesh"
+    fine_mesh_extents, coarser_mesh_extents = (
+        np.array(mesh_extents(fine_or_coarser_structure.whole))
+        for fine_or_coarser_structure in (fine_structure, coarser_study.structure)
+    )
+    coarser_element_length = (coarser_mesh_extents.prod() / fine_and_coarser_element_counts[1]) ** (
+        1.0 / len(coarser_mesh_extents)
     )
     # Curved sides differ by less than an element.
-    if np.any(np.abs(coarser_extents - fine_extents) > coarser_element_length):
-        extents_text = " x ".join(f"{side_length:.4g}" for side_length in coarser_extents)
+    if np.any(np.abs(coarser_mesh_extents - fine_mesh_extents) > coarser_element_length):
+        extents_text = " x ".join(
+            f"{coarser_mesh_extent:.4g}" for coarser_mesh_extent in coarser_mesh_extents
+        )
         return f"mesh.coarser is the mesh of another part, which measures {extents_text} m"
     if scene.mesh.layout == "file" and (
-        mismatch_text := _describe_crack_mismatch(structure, coarser_study.structure)
+        mismatch_text := _describe_crack_mismatch(fine_structure, coarser_study.structure)
     ):
         return mismatch_text
     return (
         coarser_study,
-        element_counts,
-        _coarser_over_fine_element_length(scene, coarser_scene, element_counts),
+        fine_and_coarser_element_counts,
+        _coarser_over_fine_element_length(scene, coarser_scene, fine_and_coarser_element_counts),
     )
 
 
@@ -142,10 +147,10 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
     areas_and_points_of_cracks = _pair_areas_and_points_of_cracks(structure)
     coarser_areas_and_points = _pair_areas_and_points_of_cracks(coarser_structure)
     if len(areas_and_points_of_cracks) != len(coarser_areas_and_points):
-        counts_text = (
+        crack_counts_text = (
             f"{len(coarser_areas_and_points)} instead of {len(areas_and_points_of_cracks)}"
         )
-        return f"mesh.coarser has another number of cracks: {counts_text}"
+        return f"mesh.coarser has another number of cracks: {crack_counts_text}"
     for crack_number, (
         (pair_areas, pair_points),
         (coarser_pair_areas, coarser_pair_points),
@@ -213,34 +218,34 @@ def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None
     if mesh_table is None or mesh_table.layout == "file":
         return None
     key_changes: dict[str, Any] = {}
-    n_face_elements, element_size = mesh_table.lip_elements, mesh_table.size
+    n_elements_along_face, element_size = mesh_table.lip_elements, mesh_table.size
     if scene.has_graded_lengths and element_size is not None and refinement_factor > 1.0:
         element_size = min([element_size, *scene.geometry.sides])
-    if scene.has_graded_lengths and n_face_elements is not None and n_face_elements > 2:
-        n_new_face_elements, grading, refinement_factor = _refine_graded_elements(
-            n_face_elements, mesh_table.grading, refinement_factor
+    if scene.has_graded_lengths and n_elements_along_face is not None and n_elements_along_face > 2:
+        n_new_elements_along_face, grading, refinement_factor = _refine_graded_elements(
+            n_elements_along_face, mesh_table.grading, refinement_factor
         )
-        key_changes |= {"mesh.lip_elements": n_new_face_elements, "mesh.grading": grading}
-    elif n_face_elements is not None:
-        n_new_face_elements = key_changes["mesh.lip_elements"] = math.ceil(
-            refinement_factor * n_face_elements
+        key_changes |= {"mesh.lip_elements": n_new_elements_along_face, "mesh.grading": grading}
+    elif n_elements_along_face is not None:
+        n_new_elements_along_face = key_changes["mesh.lip_elements"] = math.ceil(
+            refinement_factor * n_elements_along_face
         )
         refinement_factor = (
             refinement_factor
-            if n_new_face_elements == n_face_elements
-            else n_new_face_elements / n_face_elements
+            if n_new_elements_along_face == n_elements_along_face
+            else n_new_elements_along_face / n_elements_along_face
         )
     if element_size is not None:
         key_changes["mesh.size"] = element_size / refinement_factor
     for key in ("columns", "rows"):
-        n_columns_or_rows = getattr(mesh_table, key)
-        if n_columns_or_rows is not None:
+        n_old_columns_or_rows = getattr(mesh_table, key)
+        if n_old_columns_or_rows is not None:
             key_changes[f"mesh.{key}"] = (
-                math.ceil(refinement_factor) * n_columns_or_rows
+                math.ceil(refinement_factor) * n_old_columns_or_rows
                 if refinement_factor > 1.0
-                else n_columns_or_rows // 2
+                else n_old_columns_or_rows // 2
             )
-            if refinement_factor < 1.0 and n_columns_or_rows % 2:
+            if refinement_factor < 1.0 and n_old_columns_or_rows % 2:
                 return None
     return scene.replace(key_changes | _patch_key_changes(scene, refinement_factor))
 
@@ -256,10 +261,10 @@ def _patch_key_changes(scene: Scene, refinement_factor: float) -> dict[str, int]
     dict of str to int
         ``{"mesh.patches": n}`` with the new number n; empty if the scene has no patches.
     """
-    n_patches = scene.mesh.patches
+    n_old_patches = scene.mesh.patches
     return (
-        {"mesh.patches": max(1, round(n_patches * refinement_factor ** (scene.dimension - 1)))}
-        if n_patches
+        {"mesh.patches": max(1, round(n_old_patches * refinement_factor ** (scene.dimension - 1)))}
+        if n_old_patches
         else {}
     )
 
@@ -321,9 +326,9 @@ def has_similar_finer_mesh(scene: Scene) -> bool:
     """
     if scene.mesh.layout != "graded":
         return False
-    finer_scene, n_face_elements = refine_scene_or_none(scene, 1.5), scene.mesh.lip_elements
+    finer_scene, n_elements_along_face = refine_scene_or_none(scene, 1.5), scene.mesh.lip_elements
     return (
         finer_scene is None
-        or n_face_elements is None
-        or finer_scene.mesh.given("lip_elements") <= 1.56 * n_face_elements
+        or n_elements_along_face is None
+        or finer_scene.mesh.given("lip_elements") <= 1.56 * n_elements_along_face
     )

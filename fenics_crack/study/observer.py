@@ -24,10 +24,10 @@ from fenics_crack.basics.observables import (
     observable_names,
     read_observables,
 )
-from fenics_crack.model.nodes import Clamp
+from fenics_crack.model.nodes import ClampReactionData
 from fenics_crack.model.receptance import check_has_matrices
 from fenics_crack.model.structure import RayleighDamping, Structure
-from fenics_crack.motion.motions import ExtraRows, ObservedMotion, Record
+from fenics_crack.motion.motions import ExtraRows, MotionRecord, ObservedMotion
 from fenics_crack.scene.result_tables import Growth
 from fenics_crack.scene.scene import (
     Scene,
@@ -58,7 +58,8 @@ def make_requested_rows_and_readers(study: Study) -> list[ExtraRows]:
     study's structure.
     """
     requested_places = {
-        OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(study.scene)
+        OBSERVABLES_BY_NAME[requested_quantity_name].place
+        for requested_quantity_name in list_requested_extra_quantities(study.scene)
     }
     return [
         make_rows_and_reader(study)
@@ -102,15 +103,17 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
         watched_dofs, make_requested_rows_and_readers(study)
     )
     observed_quantities = []
-    for watched_displacement, (indicators, _) in zip(
+    for watched_displacement, (watched_dof_indicators, _) in zip(
         study.watched, observed_displacements, strict=True
     ):
         for quantity_name in observable_names(Place.WATCHED_POINT):
             observable = OBSERVABLES_BY_NAME[quantity_name]
-            needs_words = watched_displacement.name or quantity_name == "amplitude"
-            words = observable.words + (f", {watched_displacement.words}" if needs_words else "")
+            needs_displacement_words = watched_displacement.name or quantity_name == "amplitude"
+            words = observable.words + (
+                f", {watched_displacement.words}" if needs_displacement_words else ""
+            )
             column_name = watched_displacement.column_name(quantity_name)
-            value = getattr(indicators, quantity_name)
+            value = getattr(watched_dof_indicators, quantity_name)
             observed_quantities.append(
                 ObservedQuantity(column_name, words, value, observable.unit, quantity_name)
             )
@@ -140,7 +143,7 @@ class ClampReactions(NamedTuple):
     moment: np.ndarray
 
 
-def compute_clamp_reactions(record: Record) -> ClampReactions:
+def compute_clamp_reactions(record: MotionRecord) -> ClampReactions:
     """Compute the clamp's forces and moments from a motion's record.
 
     ``record`` has time histories R u of the displacement u, with the rows R from
@@ -155,14 +158,14 @@ def compute_clamp_reactions(record: Record) -> ClampReactions:
             )
         )
     subharmonic, base_omega = record.subharmonic, load_omega / record.subharmonic
-    base_phases = base_omega * record.time
+    phases_of_motion = base_omega * record.time
     forces_and_moments = clamp.reaction_of_waves(
-        record.coefficients, base_omega, subharmonic, rayleigh_mass_factor, base_phases
+        record.coefficients, base_omega, subharmonic, rayleigh_mass_factor, phases_of_motion
     )
     return ClampReactions(*forces_and_moments)
 
 
-def _clamp_and_rayleigh_mass_factor(whole_structure: Structure) -> tuple[Clamp, float]:
+def _clamp_and_rayleigh_mass_factor(whole_structure: Structure) -> tuple[ClampReactionData, float]:
     """Return a structure's clamp, and the mass factor of Rayleigh damping [1/s].
 
     The factor is 0 for other damping. A structure without matrices raises InputError.
@@ -234,22 +237,24 @@ class CrackTipHistory(NamedTuple):
         threshold of the growth law, cycles below it are left out.
         """
         assert self.growth_law is not None
-        maxima, minima = find_rainflow_cycles(np.maximum(self.K_I, 0.0)).T
+        maxima, minima = find_rainflow_maxima_and_minima(np.maximum(self.K_I, 0.0)).T
         cycle_ranges = maxima - minima
         if not cycle_ranges.size:
             return 0.0
         load_ratios = np.minimum(minima / maxima, 1.0 - 1e-9)
-        driving_ranges = cycle_ranges / (1.0 - load_ratios) ** (
+        load_ratio_corrected_ranges = cycle_ranges / (1.0 - load_ratios) ** (
             1.0 - self.growth_law.ratio_exponent
         )
         is_growing = cycle_ranges >= min(self.growth_law.threshold, cycle_ranges.max())
-        relative_growth_terms = (
-            np.where(is_growing, driving_ranges / driving_ranges.max(), 0.0)
+        growth_terms_over_largest = (
+            np.where(
+                is_growing, load_ratio_corrected_ranges / load_ratio_corrected_ranges.max(), 0.0
+            )
             ** self.growth_law.exponent
         )
         return float(
-            driving_ranges.max()
-            * (relative_growth_terms.sum() / self.duration_in_load_periods)
+            load_ratio_corrected_ranges.max()
+            * (growth_terms_over_largest.sum() / self.duration_in_load_periods)
             ** (1.0 / self.growth_law.exponent)
         )
 
@@ -267,7 +272,10 @@ class CrackTipHistory(NamedTuple):
 
 
 def compute_crack_tip_histories(
-    record: Record, tips: Sequence[Tip | Station], force_rows: np.ndarray, growth_law: Growth | None
+    record: MotionRecord,
+    tips: Sequence[Tip | Station],
+    force_rows: np.ndarray,
+    growth_law: Growth | None,
 ) -> list[CrackTipHistory]:
     """Compute stress intensity factors at each tip over a motion's record.
 
@@ -296,7 +304,7 @@ def compute_crack_tip_histories(
         if is_without_clearance and len(adjacent_pair_indices):
             is_closed = np.all(record.forces[:, adjacent_pair_indices] > 0.0, axis=1)
             corrected_K_I = np.where(is_closed, 0.0, K_I.clip(0.0))
-        closed_front_error = float(np.abs(K_I - corrected_K_I).max())
+        largest_K_I_set_to_zero = float(np.abs(K_I - corrected_K_I).max())
         tip_histories.append(
             CrackTipHistory(
                 corrected_K_I,
@@ -304,7 +312,7 @@ def compute_crack_tip_histories(
                 record.periods,
                 growth_law,
                 K_III[0] if K_III else None,
-                closed_front_error,
+                largest_K_I_set_to_zero,
             )
         )
     return tip_histories
@@ -315,14 +323,14 @@ class EllipseTipHistories(NamedTuple):
 
     Attributes
     ----------
-    deepest_history : CrackTipHistory
+    deepest_intensity_history : CrackTipHistory
         History at the deepest station.
-    end_histories : list of CrackTipHistory
+    end_intensity_histories : list of CrackTipHistory
         Histories at the ends of the front, at the surface of the body.
     """
 
-    deepest_history: CrackTipHistory
-    end_histories: list[CrackTipHistory]
+    deepest_intensity_history: CrackTipHistory
+    end_intensity_histories: list[CrackTipHistory]
 
 
 def estimate_closed_front_and_mesh_errors(
@@ -355,7 +363,7 @@ def estimate_closed_front_and_mesh_errors(
     requested_quantity_names = set(list_requested_extra_quantities(study.scene))
     quantity_names = sorted(
         requested_quantity_names.intersection(
-            observable_names(Place.MOST_LOADED_TIP, Place.ELLIPSE_ENDS)
+            observable_names(Place.MOST_LOADED_TIP, Place.DEEPEST_PLACE_AND_ELLIPSE_ENDS)
         )
     )
     if study.scene.dimension == 2 or not quantity_names:
@@ -374,16 +382,21 @@ def estimate_closed_front_and_mesh_errors(
     difference_by_name = {}
     for quantity_name in quantity_names:
         station_quantity_name = quantity_name.removesuffix("_deepest").removesuffix("_surface")
-        differences_of_fronts = [
+        mesh_differences_by_front_list = [
             np.interp(
                 relative_positions,
                 coarser_intensities_by_front[front_name][0],
                 coarser_intensities_by_front[front_name][1][station_quantity_name],
             )
-            - values_by_name[station_quantity_name]
-            for front_name, (relative_positions, values_by_name) in intensities_by_front.items()
+            - station_values_by_name[station_quantity_name]
+            for front_name, (
+                relative_positions,
+                station_values_by_name,
+            ) in intensities_by_front.items()
         ]
-        difference_by_name[quantity_name] = float(np.abs(np.hstack(differences_of_fronts)).max())
+        difference_by_name[quantity_name] = float(
+            np.abs(np.hstack(mesh_differences_by_front_list)).max()
+        )
     return dict.fromkeys(quantity_names, closed_front_error), difference_by_name
 
 
@@ -404,7 +417,7 @@ def _collect_intensities_by_front(
     [record] = motion.yield_records_of_row_products(displacement_rows)
     tip_histories = compute_crack_tip_histories(record, stations, force_rows, study.scene.growth)
     arc_lengths = np.array([station.arc_length for station in stations])
-    values_by_name = tabulate_tip_values(tip_histories)
+    values_by_name = tabulate_stress_intensity_values(tip_histories)
     intensities_by_front = {
         front_name: (
             arc_lengths[station_indices] / (arc_lengths[station_indices[-1]] or 1.0),
@@ -417,7 +430,9 @@ def _collect_intensities_by_front(
     return intensities_by_front, max(history.closed_front_error for history in tip_histories)
 
 
-def tabulate_tip_values(tip_histories: Sequence[CrackTipHistory]) -> dict[str, np.ndarray]:
+def tabulate_stress_intensity_values(
+    tip_histories: Sequence[CrackTipHistory],
+) -> dict[str, np.ndarray]:
     """Return stress intensity numbers of all tips: dict of str to (n_tips,) [Pa m^1/2].
 
     Names are for example "K_max". A tip may also be a station on a crack front.
@@ -518,19 +533,22 @@ class _TipsAndIntensityRowsMaker:
                 )
             return tips_and_rows
         tips, displacement_rows, force_rows = structure.whole.compute_once(self)
-        unit_vectors = np.eye(structure.n_dofs)
-        block_size = max(1, MAX_EXPANDED_VALUES // structure.whole.n_dofs)
-        unit_blocks = [
-            unit_vectors[start_index : start_index + block_size]
-            for start_index in range(0, len(unit_vectors), block_size)
+        unit_displacements = np.eye(structure.n_dofs)
+        n_unit_vectors_per_block = max(1, MAX_EXPANDED_VALUES // structure.whole.n_dofs)
+        blocks_of_unit_displacements = [
+            unit_displacements[start_index : start_index + n_unit_vectors_per_block]
+            for start_index in range(0, len(unit_displacements), n_unit_vectors_per_block)
         ]
         products_with_unit_vectors = np.vstack(
-            [structure.expand(unit_block) @ displacement_rows.T for unit_block in unit_blocks]
+            [
+                structure.expand(block_of_unit_displacements) @ displacement_rows.T
+                for block_of_unit_displacements in blocks_of_unit_displacements
+            ]
         )
         return tips, structure.whole.sum_over_ranks(products_with_unit_vectors).T, force_rows
 
 
-def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
+def find_rainflow_maxima_and_minima(values: np.ndarray) -> np.ndarray:
     """Return each rainflow cycle's maximum and minimum: (k, 2).
 
     ``values`` (n,) are a period of a signal. Counting starts at the largest value. The range
@@ -538,25 +556,25 @@ def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
     Downing and Socie, International Journal of Fatigue 4, 1982, 31). Constant values give no cycle:
     (0, 2).
     """
-    start_index = int(values.argmax())
-    periodic_values = np.append(values[start_index:], values[: start_index + 1])
+    largest_value_index = int(values.argmax())
+    periodic_values = np.append(values[largest_value_index:], values[: largest_value_index + 1])
     periodic_values = periodic_values[np.append(True, np.diff(periodic_values) != 0.0)]
     turning_point_indices = 1 + np.flatnonzero(np.diff(np.sign(np.diff(periodic_values))))
     pending_turning_points: list[float] = []
-    maxima_and_minima = []
+    cycle_maxima_and_minima = []
     for value in periodic_values[[0, *turning_point_indices, -1]].tolist():
         pending_turning_points.append(value)
         while len(pending_turning_points) > 2 and abs(
             pending_turning_points[-1] - pending_turning_points[-2]
         ) >= abs(pending_turning_points[-2] - pending_turning_points[-3]):
-            maxima_and_minima.append(
+            cycle_maxima_and_minima.append(
                 (max(pending_turning_points[-3:-1]), min(pending_turning_points[-3:-1]))
             )
             del pending_turning_points[-3:-1]
-    return np.array(maxima_and_minima).reshape(-1, 2)
+    return np.array(cycle_maxima_and_minima).reshape(-1, 2)
 
 
-def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
+def _make_tip_intensity_rows_and_reader(study: Study) -> ExtraRows:
     """Make the rows of K at crack tips, and the function that reads numbers (collective).
 
     The numbers belong to the tip or station with the largest range of positive K_I. In a solid,
@@ -564,7 +582,7 @@ def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
     """
     tips, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
 
-    def read_leading_tip_numbers(record: Record) -> dict[str, float]:
+    def read_leading_tip_numbers(record: MotionRecord) -> dict[str, float]:
         """Return the stress intensity numbers [Pa m^1/2] of the leading tip, such as "K_max".
 
         The leading tip has the largest range of positive K_I. In a solid "K_max" is the maximum
@@ -593,23 +611,26 @@ def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
     station_heights = station_positions[:, 2]
     if crack.point is not None:
         station_heights = -np.abs((station_positions - crack.point) @ crack.frame[1])
-    middle_height = 0.5 * (station_heights.min() + station_heights.max())
-    end_indices = [
-        end_index
-        for end_index in (0, len(stations) - 1)
-        if station_heights[end_index] > middle_height
+    station_height_at_half_depth = 0.5 * (station_heights.min() + station_heights.max())
+    surface_station_indices = [
+        surface_station_index
+        for surface_station_index in (0, len(stations) - 1)
+        if station_heights[surface_station_index] > station_height_at_half_depth
     ]
 
-    def read_ellipse_numbers(record: Record) -> dict[str, float]:
+    def read_ellipse_numbers(record: MotionRecord) -> dict[str, float]:
         """Return numbers by name: at the deepest station, and as mean over the front's ends."""
         tip_histories = compute_crack_tip_histories(
             record, stations, force_rows, study.scene.growth
         )
         ellipse_histories = EllipseTipHistories(
             tip_histories[int(station_heights.argmin())],
-            [tip_histories[end_index] for end_index in end_indices],
+            [
+                tip_histories[surface_station_index]
+                for surface_station_index in surface_station_indices
+            ],
         )
-        return read_observables(Place.ELLIPSE_ENDS, ellipse_histories)
+        return read_observables(Place.DEEPEST_PLACE_AND_ELLIPSE_ENDS, ellipse_histories)
 
     return ExtraRows(displacement_rows, read_ellipse_numbers)
 
@@ -627,8 +648,8 @@ def _make_clamp_rows_and_reader(study: Study) -> ExtraRows:
 
 
 _MAKE_ROWS_AND_READER_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {
-    Place.MOST_LOADED_TIP: _make_tip_rows_and_reader,
-    Place.ELLIPSE_ENDS: _make_ellipse_rows_and_reader,
+    Place.MOST_LOADED_TIP: _make_tip_intensity_rows_and_reader,
+    Place.DEEPEST_PLACE_AND_ELLIPSE_ENDS: _make_ellipse_rows_and_reader,
     Place.CLAMP: _make_clamp_rows_and_reader,
 }
 """Functions that make the rows for crack tips, ellipse front or clamp, if requested."""

@@ -23,7 +23,7 @@ from fenics_crack.basics.tables import (
     format_in_unit,
 )
 from fenics_crack.fem.cracks import RELATIVE_POSITION_TOLERANCE
-from fenics_crack.fem.setting import read_load_coefficients_and_residual
+from fenics_crack.fem.setting import fit_load_wave_harmonics_and_residual
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.rotation import relative_coriolis_shifts
@@ -32,7 +32,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.key_figures import (
     N_KEY_FIGURE_MODES,
-    KeyFigures,
+    PreSolutionKeyFigures,
     mesh_extents,
     propose_curve_or_none,
 )
@@ -115,7 +115,9 @@ class RemarkRule(NamedTuple):
 
 
 def remarks_on_scene(
-    scene: Scene, structure: Structure | None = None, key_figures: KeyFigures | None = None
+    scene: Scene,
+    structure: Structure | None = None,
+    key_figures: PreSolutionKeyFigures | None = None,
 ) -> list[Remark]:
     """Return remarks on unusual values in a scene (collective).
 
@@ -125,7 +127,7 @@ def remarks_on_scene(
         Scene to check.
     structure : Structure, optional
         Unreduced structure, for further remarks.
-    key_figures : KeyFigures, optional
+    key_figures : PreSolutionKeyFigures, optional
         Natural frequencies, static responses and amplitudes, for further remarks.
     """
     remarks = [*_iterate_remarks(SCENE_REMARK_RULES, scene)]
@@ -170,12 +172,12 @@ def _iterate_remarks(
             remark_text = rule.remark_template.format(
                 checked_number, *further_values, kind=body_kind, faces=word_for_crack_faces(scene)
             )
-            unit_texts = (
-                f"; is it in {unit}? then give {unit_factor * float(np.max(value)):g}"  # type: ignore[call-overload]
-                for unit, unit_factor in rule.factor_by_mistyped_unit.items()
+            mistyped_unit_question_texts = (
+                f"; is it in {mistyped_unit}? then give {unit_factor * float(np.max(value)):g}"  # type: ignore[call-overload]
+                for mistyped_unit, unit_factor in rule.factor_by_mistyped_unit.items()
                 if rule.lower_limit <= unit_factor * checked_number <= rule.upper_limit
             )
-            remark_text += next(unit_texts, "")
+            remark_text += next(mistyped_unit_question_texts, "")
             yield Remark(key, list(value) if isinstance(value, tuple) else value, remark_text)
 
 
@@ -226,7 +228,7 @@ def _list_first_given_key_and_value(scene: Scene, keys: str) -> list[tuple[str, 
 # --- numbers of rules -----------------------------------------------------------------------------
 
 
-def _longest_side_or_none(side_length: float, scene: Scene) -> float | None:
+def _side_length_if_longest(side_length: float, scene: Scene) -> float | None:
     """Return ``side_length`` [m] if no side of the plate is longer, else None."""
     geometry_table = scene.geometry
     return (
@@ -289,10 +291,12 @@ def _relative_distance_and_node_text(
         if structure.comm.allreduce(np.count_nonzero(force_fractions)) > 1:  # nodes of a cell
             return None
     points = gather_rows(structure.comm, structure.nodes.points)
-    distances = np.linalg.norm(points - load_point, axis=1)
-    nearest_index = int(np.argmin(distances))
+    node_distances_from_load_point = np.linalg.norm(points - load_point, axis=1)
+    nearest_index = int(np.argmin(node_distances_from_load_point))
     longest_mesh_extent, nearest_point = np.ptp(points, axis=0).max(), points[nearest_index]
-    return distances[nearest_index] / longest_mesh_extent, format_point(nearest_point)
+    return node_distances_from_load_point[nearest_index] / longest_mesh_extent, format_point(
+        nearest_point
+    )
 
 
 def _blade_tip_speed(speed_value: float, scene: Scene, structure: Structure) -> float | None:
@@ -310,11 +314,14 @@ def _blade_tip_speed(speed_value: float, scene: Scene, structure: Structure) -> 
     ):
         return None
     axis_point, axis_direction = (
-        vector[: structure.nodes.points.shape[1]] for vector in scene.axis_point_and_direction
+        axis_point_or_direction[: structure.nodes.points.shape[1]]
+        for axis_point_or_direction in scene.axis_point_and_direction
     )
-    offsets = gather_rows(structure.comm, structure.nodes.points) - axis_point
-    radial_offsets = offsets - np.outer(offsets @ axis_direction, axis_direction)
-    return scene.speed * float(np.linalg.norm(radial_offsets, axis=1).max())
+    node_offsets_from_axis_point = gather_rows(structure.comm, structure.nodes.points) - axis_point
+    node_offsets_normal_to_axis = node_offsets_from_axis_point - np.outer(
+        node_offsets_from_axis_point @ axis_direction, axis_direction
+    )
+    return scene.speed * float(np.linalg.norm(node_offsets_normal_to_axis, axis=1).max())
 
 
 def _clamp_height_ratio_and_height(
@@ -333,13 +340,16 @@ def _clamp_height_ratio_and_height(
     if scene.mesh is None or scene.mesh.layout != "file" or nodes is None:
         return None
     points, node_dofs = (
-        gather_rows(structure.comm, local_rows) for local_rows in (nodes.points, nodes.dofs)
+        gather_rows(structure.comm, local_points_or_dofs)
+        for local_points_or_dofs in (nodes.points, nodes.dofs)
     )
     clamp_heights = points[np.all(node_dofs < 0, axis=1), 1]
-    clamp_height = (
+    farthest_clamp_node_height = (
         float(clamp_heights[np.abs(clamp_heights).argmax()]) if len(clamp_heights) else 0.0
     )
-    return abs(clamp_height) / float(np.ptp(points, axis=0).max()), clamp_height
+    return abs(farthest_clamp_node_height) / float(
+        np.ptp(points, axis=0).max()
+    ), farthest_clamp_node_height
 
 
 def _clamp_bending_ratio_and_stress(
@@ -356,34 +366,45 @@ def _clamp_bending_ratio_and_stress(
         Bending stress divided by the direct stress of the centrifugal force; and the bending stress
         [MPa]. None for plates and disks, and without rotation or clamp.
     """
-    nodes, rotation, clamp = structure.nodes, structure.rotation, structure.clamp
-    if nodes is None or rotation is None or clamp is None or scene.dimension == 2 or scene.disk:
+    nodes, rotor_rotation, clamp = structure.nodes, structure.rotation, structure.clamp
+    if (
+        nodes is None
+        or rotor_rotation is None
+        or clamp is None
+        or scene.dimension == 2
+        or scene.disk
+    ):
         return None
     is_clamped, (axis_point, axis_direction) = (
         np.all(nodes.dofs < 0, axis=1),
         scene.axis_point_and_direction,
     )
-    clamp_sides = np.ptp(gather_rows(structure.comm, nodes.points[is_clamped]), axis=0)
-    normal_axis_index = int(clamp_sides.argmin())
+    clamp_side_lengths = np.ptp(gather_rows(structure.comm, nodes.points[is_clamped]), axis=0)
+    clamp_normal_axis_index = int(clamp_side_lengths.argmin())
     free_dofs = nodes.dofs[~is_clamped] - structure.first_dof
     clamp_offset_from_axis = (np.eye(3) - np.outer(axis_direction, axis_direction)) @ (
         clamp.center - axis_point
     )
-    in_plane_offset = np.where(np.arange(3) == normal_axis_index, 0.0, clamp_offset_from_axis)
-    local_force_and_moment = [
-        rotation.force[free_dofs].sum(axis=0),
-        (clamp.inertia[3:, free_dofs] @ in_plane_offset).sum(axis=1),
+    in_plane_clamp_offset_from_axis = np.where(
+        np.arange(3) == clamp_normal_axis_index, 0.0, clamp_offset_from_axis
+    )
+    force_and_moment_on_rank = [
+        rotor_rotation.force[free_dofs].sum(axis=0),
+        (clamp.inertia[3:, free_dofs] @ in_plane_clamp_offset_from_axis).sum(axis=1),
     ]
-    clamp_force, clamp_moment = rotation.speed**2 * structure.sum_over_ranks(
-        np.stack(local_force_and_moment)
+    centrifugal_clamp_force, centrifugal_clamp_moment = (
+        rotor_rotation.speed** 2 * structure.sum_over_ranks(np.stack(force_and_moment_on_rank))
     )
-    first_side, second_side = np.delete(clamp_sides, normal_axis_index)
-    bending_force = 6.0 * (
-        np.abs(np.delete(clamp_moment, normal_axis_index)) @ [1.0 / second_side, 1.0 / first_side]
+    first_clamp_side_length, second_clamp_side_length = np.delete(
+        clamp_side_lengths, clamp_normal_axis_index
     )
-    return bending_force / float(np.linalg.norm(clamp_force)), 1e-6 * bending_force / (
-        first_side * second_side
+    bending_stress_times_area = 6.0 * (
+        np.abs(np.delete(centrifugal_clamp_moment, clamp_normal_axis_index))
+        @ [1.0 / second_clamp_side_length, 1.0 / first_clamp_side_length]
     )
+    return bending_stress_times_area / float(
+        np.linalg.norm(centrifugal_clamp_force)
+    ), 1e-6 * bending_stress_times_area / (first_clamp_side_length * second_clamp_side_length)
 
 
 def _largest_coriolis_change(_: float, scene: Scene, structure: Structure) -> float | None:
@@ -427,7 +448,7 @@ def _count_rigid_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> 
 
 
 def _compare_frequency_in_other_unit(
-    other_unit_factor: float, _: float, scene: Scene, key_figures: KeyFigures
+    other_unit_factor: float, _: float, scene: Scene, key_figures: PreSolutionKeyFigures
 ) -> tuple[float, ...] | None:
     """Return three numbers if the load frequency seems to be in another unit, else None.
 
@@ -460,7 +481,7 @@ def _is_near_natural_frequency(omega: float, natural_omegas: np.ndarray) -> bool
 
 
 def _missed_first_omega_and_text(
-    _: float, scene: Scene, key_figures: KeyFigures
+    _: float, scene: Scene, key_figures: PreSolutionKeyFigures
 ) -> tuple[float, str] | None:
     """Return the first natural frequency if a curve meets no resonance.
 
@@ -488,10 +509,13 @@ def _missed_first_omega_and_text(
     curve_start, curve_end = sorted(curve_table.parameter_and_range[1:])
     open_and_bonded_omegas = key_figures.omega_open, key_figures.omega_tied
     for harmonic in (0.5, 1.0, 2.0, 3.0):
-        open_parameters, bonded_parameters = (
+        curve_values_at_open_omegas, curve_values_at_bonded_omegas = (
             find_crossing_parameters(omega, harmonic=harmonic) for omega in open_and_bonded_omegas
         )
-        if np.any((curve_start <= bonded_parameters) & (curve_end >= open_parameters)):
+        if np.any(
+            (curve_start <= curve_values_at_bonded_omegas)
+            & (curve_end >= curve_values_at_open_omegas)
+        ):
             return None
     # Modes above the last one are not computed.
     if curve_end >= find_crossing_parameters(key_figures.omega_tied[-1], harmonic=1.0):
@@ -499,8 +523,12 @@ def _missed_first_omega_and_text(
     proposed_curve_table = propose_curve_or_none(scene, key_figures)
     unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve_table.parameter][1]
     first_omega_range = key_figures.omega_open[0], key_figures.omega_tied[0]
-    range_text = format_in_unit(choose_frequency_factor_name_unit(True), *first_omega_range)
-    end_and_range_text = f"{curve_table.stop:g} {unit}: the first resonance is between {range_text}"
+    first_omega_range_text = format_in_unit(
+        choose_frequency_factor_name_unit(True), *first_omega_range
+    )
+    end_and_range_text = (
+        f"{curve_table.stop:g} {unit}: the first resonance is between {first_omega_range_text}"
+    )
     if proposed_curve_table is not None:
         end_and_range_text += (
             f"; give curve.start = {proposed_curve_table.start:g} and "
@@ -510,7 +538,7 @@ def _missed_first_omega_and_text(
 
 
 def _peak_rotation_and_displacement(
-    _: object, scene: Scene, key_figures: KeyFigures
+    _: object, scene: Scene, key_figures: PreSolutionKeyFigures
 ) -> tuple[float, float] | None:
     """Return the largest rotation [rad] and displacement [m] under the excitation's force.
 
@@ -521,11 +549,13 @@ def _peak_rotation_and_displacement(
     return (
         None
         if has_other_loads_or_no_damping
-        else (key_figures.peak_open_crack_rotation, key_figures.peak_open_crack_displacement)
+        else (key_figures.peak_open_rotation_about_clamp, key_figures.peak_open_crack_displacement)
     )
 
 
-def _n_face_elements_or_none(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
+def _n_face_elements_or_none(
+    _: object, scene: Scene, key_figures: PreSolutionKeyFigures
+) -> int | None:
     """Return the smallest number of elements along a crack face, or None.
 
     A remark on the number would not help in two cases, which give None. In a grid without
@@ -535,12 +565,14 @@ def _n_face_elements_or_none(_: object, scene: Scene, key_figures: KeyFigures) -
     has_mouth_contact_only = scene.contact is not None and scene.contact.pairs == "mouth"
     is_grid_without_patches = scene.mesh.layout == "grid" and scene.mesh.patches is None
     return (
-        None if has_mouth_contact_only or is_grid_without_patches else key_figures.n_face_elements
+        None
+        if has_mouth_contact_only or is_grid_without_patches
+        else key_figures.n_elements_along_face
     )
 
 
 def _linear_gap_motion_and_verb(
-    _: object, scene: Scene, key_figures: KeyFigures
+    _: object, scene: Scene, key_figures: PreSolutionKeyFigures
 ) -> tuple[float, str] | None:
     """Return the gaps' largest motion if no contact pair opens and closes.
 
@@ -554,7 +586,7 @@ def _linear_gap_motion_and_verb(
         return None
     return (
         key_figures.peak_open_crack_gap_motion,
-        "opens" if key_figures.n_closed_pairs else "closes",
+        "opens" if key_figures.n_pairs_closed_by_mean_load else "closes",
     )
 
 
@@ -563,9 +595,9 @@ def _linear_gap_motion_and_verb(
 METRES_BY_MISTAKEN_UNIT = MappingProxyType({"mm": 1e-3})
 LARGE_ROTOR_REMARK = "in m, this is larger than any rotor"
 USUAL_METAL_DAMPING_REMARK = "metals have 0.0001 to 0.01 of critical damping"
-JOINED_FORCE_AMPLITUDE_KEYS = "excitation.force_sin excitation.force_cos"
-JOINED_CONTACT_STIFFNESS_KEYS = "contact.stiffness contact.stiffness_per_area"
-FIRST_FREQUENCY_REMARK_TEMPLATE = (
+FORCE_AMPLITUDE_KEYS_TEXT = "excitation.force_sin excitation.force_cos"
+CONTACT_STIFFNESS_KEYS_TEXT = "contact.stiffness contact.stiffness_per_area"
+FREQUENCY_UNIT_REMARK_TEMPLATE = (
     "{:.2g} times the first natural frequency, {:.4g} Hz = {:.4g} rad/s; is it in "
 )
 SCENE_REMARK_RULES = (
@@ -590,7 +622,7 @@ SCENE_REMARK_RULES = (
             0.0,
             MAX_PLAUSIBLE_LENGTH,
             "lengths are in m: the longest side of the {kind} is {:g} m",
-            _longest_side_or_none,
+            _side_length_if_longest,
             METRES_BY_MISTAKEN_UNIT,
         )
         for side in ("width", "height")
@@ -667,12 +699,12 @@ SCENE_REMARK_RULES = (
         "{1} harmonics leave out {0:.2%} of the time-varying load (root mean square); "
         "raise excitation.wave_harmonics",
         lambda _, scene: (
-            read_load_coefficients_and_residual(scene.excitation, scene.dimension)[1],
+            fit_load_wave_harmonics_and_residual(scene.excitation, scene.dimension)[1],
             scene.excitation.wave_harmonics,
         ),
     ),
     RemarkRule(
-        JOINED_FORCE_AMPLITUDE_KEYS,
+        FORCE_AMPLITUDE_KEYS_TEXT,
         1.0,
         1.0,
         "no force acts: excitation.force_sin, force_cos and force_mean are zero; give one of them",
@@ -727,14 +759,14 @@ KEY_FIGURE_REMARK_RULES = (
         "excitation.omega",
         1.0,
         0.0,
-        FIRST_FREQUENCY_REMARK_TEMPLATE + "Hz? then use excitation.frequency",
+        FREQUENCY_UNIT_REMARK_TEMPLATE + "Hz? then use excitation.frequency",
         partial(_compare_frequency_in_other_unit, RAD_PER_TURN),
     ),
     RemarkRule(
         "excitation.frequency",
         1.0,
         0.0,
-        FIRST_FREQUENCY_REMARK_TEMPLATE + "rad/s? then use excitation.omega",
+        FREQUENCY_UNIT_REMARK_TEMPLATE + "rad/s? then use excitation.omega",
         partial(_compare_frequency_in_other_unit, 1.0 / RAD_PER_TURN),
     ),
     RemarkRule(
@@ -745,7 +777,7 @@ KEY_FIGURE_REMARK_RULES = (
         _missed_first_omega_and_text,
     ),
     RemarkRule(
-        JOINED_FORCE_AMPLITUDE_KEYS,
+        FORCE_AMPLITUDE_KEYS_TEXT,
         0.0,
         MAX_SMALL_ROTATION,
         "with an open crack this force moves the {kind} by {1:.2g} m, or {0:.2g} "
@@ -760,7 +792,7 @@ KEY_FIGURE_REMARK_RULES = (
         _n_face_elements_or_none,
     ),
     RemarkRule(
-        JOINED_CONTACT_STIFFNESS_KEYS,
+        CONTACT_STIFFNESS_KEYS_TEXT,
         1.0,
         math.inf,
         "at most {:.2g} times the {faces}' static stiffness, so that they penetrate each other; "
@@ -768,7 +800,7 @@ KEY_FIGURE_REMARK_RULES = (
         lambda _, __, figures: np.max(figures.contact_stiffness_ratio),
     ),
     RemarkRule(
-        JOINED_CONTACT_STIFFNESS_KEYS,
+        CONTACT_STIFFNESS_KEYS_TEXT,
         0.0,
         1e6,
         "at least {:.2g} times the {faces}' static stiffness: numerically "

@@ -32,7 +32,7 @@ from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import DEFAULT_MODES_OF_LARGE_STRUCTURE, reduce_structure
 from fenics_crack.model.rotation import N_BASIS_SPEEDS
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.keys import RESULT_TABLE_NAMES
+from fenics_crack.scene.keys import RESULT_SETTINGS_TABLE_NAMES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Contact, Reduction
 from fenics_crack.study.sharing import (
@@ -188,22 +188,22 @@ def _find_watched_displacements(
         return (WatchedDisplacement("", structure.dof_name(dof), dof),)
     watched_displacements = []
     sector_structure = structure.sector_structure
-    for point in scene.output_points:
-        full_point_key = f"output.points.{point.key}"
+    for named_output_point in scene.output_points:
+        full_point_key = f"output.points.{named_output_point.key}"
         if sector_structure.nodes is None:
             raise InputError(
                 full_point_key,
-                point.values,
+                named_output_point.values,
                 "left out, as the structure has no positions; or give structure.model",
             )
         node_position, node_dofs = sector_structure.nodes.find_nearest_position_and_dofs(
-            sector_structure.comm, full_point_key, point.values
+            sector_structure.comm, full_point_key, named_output_point.values
         )
-        distance = float(np.linalg.norm(node_position - point.values).round(12))
-        for axis, dof in zip(AXES, node_dofs, strict=False):
+        distance = float(np.linalg.norm(node_position - named_output_point.values).round(12))
+        for axis_letter, dof in zip(AXES, node_dofs, strict=False):
             if dof >= 0:
-                quantity_prefix = f"{point.key}.u{axis}"
-                words = scene.label_by_point_name[quantity_prefix]
+                quantity_prefix = f"{named_output_point.key}.u{axis_letter}"
+                words = scene.label_by_displacement_name[quantity_prefix]
                 global_dof = structure.dof_of(structure.watched_sector_index + 1, int(dof))
                 watched_displacements.append(
                     WatchedDisplacement(quantity_prefix, words, global_dof, distance)
@@ -220,8 +220,9 @@ def _find_structure_in_reference_study(scene: Scene, reference_study: Study) -> 
     """
     reference_scene, reference_structure = reference_study.scene, reference_study.structure.whole
     if reference_scene.disk is not None:
-        ignored_key_changes = dict.fromkeys(RESULT_TABLE_NAMES) | {
-            f"disk.{disk_key}": None for disk_key in ("mistuning", "deviation", "seed")
+        ignored_key_changes = dict.fromkeys(RESULT_SETTINGS_TABLE_NAMES) | {
+            f"disk.{ignored_disk_key}": None
+            for ignored_disk_key in ("mistuning", "deviation", "seed")
         }
         ignored_key_changes["excitation.omega"] = 1.0
         if scene.disk is None or scene.replace(ignored_key_changes) != reference_scene.replace(
@@ -233,12 +234,12 @@ def _find_structure_in_reference_study(scene: Scene, reference_study: Study) -> 
     if rotation is None or scene.speed == 0.0:
         return None
     ignored_key_changes = {"rotation.speed": 1.0, "excitation.omega": 1.0} | dict.fromkeys(
-        RESULT_TABLE_NAMES
+        RESULT_SETTINGS_TABLE_NAMES
     )
     ignored_key_changes["reduction"] = None
     if scene.replace(ignored_key_changes) != reference_scene.replace(ignored_key_changes):
         return None
-    return rotation.at(scene.speed)
+    return rotation.structure_rotating_at_speed(scene.speed)
 
 
 def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
@@ -250,13 +251,13 @@ def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
     Raises
     ------
     InputError
-        As :func:`estimate_and_check_memory` and :func:`reduce_structure`.
+        As :func:`estimate_and_check_solution_memory` and :func:`reduce_structure`.
     """
     scene, whole_structure = study.scene, study.structure
     if whole_structure.whole is not whole_structure:
         return study
     if whole_structure.has_matrices:
-        estimate_and_check_memory(scene, whole_structure)
+        estimate_and_check_solution_memory(scene, whole_structure)
     if (disk_table := scene.disk) is not None:
         structure = reduce_wheel(
             study.structure.whole,
@@ -319,7 +320,7 @@ def modal_reduction_or_none(scene: Scene, structure: Structure) -> ModalReductio
     )
 
 
-def estimate_and_check_memory(
+def estimate_and_check_solution_memory(
     scene: Scene, structure: Structure, *, is_run_up: bool = False
 ) -> float:
     """Estimate the memory to solve a scene, or its run-up [byte] (collective).
@@ -331,12 +332,12 @@ def estimate_and_check_memory(
     InputError
         The memory exceeds 80 % of this machine's.
     """
-    needed_bytes = _estimate_needed_memory(scene, structure, is_run_up)
+    needed_bytes = _estimate_memory_to_solve(scene, structure, is_run_up)
     machine_bytes = machine_memory()
     byte_limit = 0.8 * machine_bytes
     if needed_bytes > byte_limit:
         release_freed_memory()  # only now: later steps must allocate it again
-        needed_bytes = _estimate_needed_memory(scene, structure, is_run_up)
+        needed_bytes = _estimate_memory_to_solve(scene, structure, is_run_up)
     if needed_bytes > byte_limit:
         memory_text = (
             f"{needed_bytes / 2**30:.3g} GiB of this machine's {machine_bytes / 2**30:.3g} GiB"
@@ -357,7 +358,7 @@ def estimate_and_check_memory(
     return needed_bytes
 
 
-def _estimate_needed_memory(scene: Scene, structure: Structure, is_run_up: bool) -> float:
+def _estimate_memory_to_solve(scene: Scene, structure: Structure, is_run_up: bool) -> float:
     """Estimate the peak memory to solve a scene, or its run-up [byte] (collective).
 
     A run-up (``is_run_up``) is a curve over the rotor speed. ``structure`` is not reduced. The
@@ -395,12 +396,12 @@ def estimate_reduction_memory(structure: Structure, n_modes: int, method: str) -
     static_bytes = (
         8.0 * n_dofs * (4 * MAX_BLOCK_COLUMNS if method == "massless" else 10 * n_static_columns)
     )
-    peak_bytes = max(static_bytes, _estimate_mode_memory(structure, n_reference_modes))
+    temporary_bytes = max(static_bytes, _estimate_mode_memory(structure, n_reference_modes))
     return (
-        _measure_memory_of_all_ranks(structure)
+        _measure_process_memory_of_all_ranks(structure)
         + _estimate_factor_memory(structure)
         + 8.0 * n_dofs * n_reference_modes
-        + peak_bytes
+        + temporary_bytes
     )
 
 
@@ -420,10 +421,10 @@ def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
     # Responses of the sectors to the crack's opening, their products with a matrix, and as much
     # again while either is made. Bonds have up to 40 force patterns beyond those of the pairs.
     n_opening_columns = min(
-        2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_face_members)
+        2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_crack_face_members)
     )
     opening_bytes = 32.0 * sector.n_sectors * n_dofs * n_opening_columns
-    return _measure_memory_of_all_ranks(wheel) + wheel.comm.size * (
+    return _measure_process_memory_of_all_ranks(wheel) + wheel.comm.size * (
         solver_bytes + bytes_of_modes + opening_bytes
     )
 
@@ -434,9 +435,9 @@ def estimate_unreduced_memory(structure: Structure, n_harmonics: int) -> float:
     Each harmonic 0 to ``n_harmonics`` keeps a factor of its dynamic stiffness. The memory held
     already is included.
     """
-    return _measure_memory_of_all_ranks(structure) + (n_harmonics + 1) * _estimate_factor_memory(
-        structure
-    )
+    return _measure_process_memory_of_all_ranks(structure) + (
+        n_harmonics + 1
+    ) * _estimate_factor_memory(structure)
 
 
 def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
@@ -451,8 +452,8 @@ def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
         _estimate_factor_memory(structure) + _estimate_mode_memory(structure, n_modes) + basis_bytes
     )
     return (
-        _measure_memory_of_all_ranks(structure)
-        + _estimate_matrix_memory(structure)
+        _measure_process_memory_of_all_ranks(structure)
+        + _memory_of_unfactored_matrix(structure)
         + max(bytes_of_modes, 3.0 * basis_bytes)
     )
 
@@ -465,11 +466,12 @@ def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
     """
     krylov_bytes = 8.0 * structure.n_dofs * n_krylov_vectors(n_modes)
     return max(
-        krylov_bytes, _estimate_factor_memory(structure) + 2 * _estimate_matrix_memory(structure)
+        krylov_bytes,
+        _estimate_factor_memory(structure) + 2 * _memory_of_unfactored_matrix(structure),
     )
 
 
-def _estimate_matrix_memory(structure: Structure) -> float:
+def _memory_of_unfactored_matrix(structure: Structure) -> float:
     """Return the memory of a matrix with as many nonzeros as the stiffness [byte] (collective)."""
     bytes_per_entry = np.dtype(PETSc.ScalarType).itemsize + np.dtype(PETSc.IntType).itemsize
     n_entries: float = structure.stiffness.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
@@ -492,7 +494,7 @@ def release_freed_memory() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def _measure_memory_of_all_ranks(structure: Structure) -> float:
+def _measure_process_memory_of_all_ranks(structure: Structure) -> float:
     """Return the memory that all ranks hold now [byte] (collective)."""
     return float(structure.comm.allreduce(process_memory("VmRSS")))
 
@@ -511,7 +513,7 @@ def scene_contact_law(scene: Scene, structure: Structure) -> ContactLaw | None:
     if structure.n_pairs == 0 or scene.contact is None:
         return None
     contact_table, reduction = scene.contact, modal_reduction_or_none(scene, structure)
-    has_massless_faces = structure.light_lips or (
+    has_massless_faces = structure.has_massless_crack_faces or (
         reduction is not None and reduction.method == "massless"
     )
     if contact_table.friction and not has_massless_faces:  # pairs that stick must give a little
@@ -564,11 +566,11 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
             "structure.with_tangents()"
         )
         raise InputError("contact.friction", contact.friction, requirement_text)
-    stiffness_per_area = contact.tangential_stiffness_per_area
-    if stiffness_per_area is None:
+    tangential_stiffness_per_area = contact.tangential_stiffness_per_area
+    if tangential_stiffness_per_area is None:
         return CoulombFriction(law, contact.friction)
     tangential_stiffness = _stiffness_of_pairs(
-        "tangential_stiffness_per_area", stiffness_per_area, structure
+        "tangential_stiffness_per_area", tangential_stiffness_per_area, structure
     )
     return CoulombFriction(law, contact.friction, tangential_stiffness)
 

@@ -46,13 +46,13 @@ from fenics_crack.study.prepare import (
 
 N_RESONANCE_SEARCH_MODES = 10
 """Number of modes kept in the reduced structure in which a resonance is sought."""
-MAX_RESONANCE_TRUNCATION_ERROR = 0.1
+MAX_AMPLITUDE_ERROR_BY_HARMONICS = 0.1
 """Maximum relative error, by truncated harmonics, of a stated resonance amplitude."""
 SEVERAL_MODES_REASON = "several modes answer together: follow the curve for the amplitude"
 
 
 @dataclass(frozen=True)
-class LoadResonance:
+class ResonanceUnderLoad:
     """Result of the search for a scene's resonance under its load.
 
     Attributes
@@ -61,7 +61,7 @@ class LoadResonance:
         Load frequency at resonance; under an engine order the rotor speed at resonance.
     width : float [rad/s]
         Half-power width of the resonance, in load frequency or rotor speed.
-    rest : float [rad/s]
+    omega_or_speed_under_small_load : float [rad/s]
         Load frequency or rotor speed at resonance under a small load; nan if not sought.
     amplitude : float [m]
         Half the peak-to-peak of the watched displacement.
@@ -71,45 +71,48 @@ class LoadResonance:
         Verdict on the stability: "stable", "unstable", "irregular" or "undecided".
     unknown : str
         Reason why there is no amplitude; "" if there is one. If several modes respond together,
-        ``value``, ``width`` and ``rest`` are known, but the amplitude is not.
-    mesh_error : float
+        ``value``, ``width`` and ``omega_or_speed_under_small_load`` are known, but the amplitude is
+        not.
+    amplitude_mesh_error : float
         Relative error of the amplitude due to the mesh; nan if it is not estimated.
     """
 
     value: float = math.nan
     width: float = math.nan
-    rest: float = math.nan
+    omega_or_speed_under_small_load: float = math.nan
     amplitude: float = math.nan
     error: float = math.nan
     verdict: str = ""
     unknown: str = ""
-    mesh_error: float = math.nan
+    amplitude_mesh_error: float = math.nan
 
     @property
-    def in_words(self) -> str:
+    def amplitude_and_errors_text(self) -> str:
         """Amplitude, verdict on stability, and errors by cause, as text.
 
         Causes that no error includes are named last. Without an amplitude, the text is the reason.
         """
-        known_error_by_cause = {"harmonics": self.error, "mesh": self.mesh_error}
+        known_error_by_cause = {"harmonics": self.error, "mesh": self.amplitude_mesh_error}
         error_by_cause = (
             dict.fromkeys((*REQUIRED_ERROR_CAUSES, *OPTIONAL_ERROR_CAUSES), math.nan)
             | known_error_by_cause
         )
         missing_causes = [
-            cause for cause, error in error_by_cause.items() if not math.isfinite(error)
+            error_cause
+            for error_cause, error_of_cause in error_by_cause.items()
+            if not math.isfinite(error_of_cause)
         ]
         error_texts = [
-            f"the {cause} {format_error(error)}"
-            for cause, error in error_by_cause.items()
-            if error > 0.0
+            f"the {error_cause} {format_error(error_of_cause)}"
+            for error_cause, error_of_cause in error_by_cause.items()
+            if error_of_cause > 0.0
         ]
         amplitude_text = f"{format_quantity(self.amplitude, 'm')} half peak-to-peak, {self.verdict}"
-        texts = (
+        amplitude_and_missing_cause_texts = (
             f"{amplitude_text}, error due to {', '.join(error_texts) or 'none'}",
             describe_omitted_causes(missing_causes),
         )
-        return self.unknown or "; ".join(filter(None, texts))
+        return self.unknown or "; ".join(filter(None, amplitude_and_missing_cause_texts))
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -120,7 +123,7 @@ class LoadResonance:
         return {} if self.unknown else {"resonance": self.value, "vibration": self.amplitude}
 
 
-UNSOUGHT_RESONANCE = LoadResonance(unknown="not sought")
+UNSOUGHT_RESONANCE = ResonanceUnderLoad(unknown="not sought")
 
 
 def order_crossing_speed(
@@ -188,7 +191,7 @@ def curve_parameter_at_crossing(
 
 def find_study_resonance(
     study: Study, estimated_omegas: np.ndarray, squared_omega_slopes: np.ndarray
-) -> LoadResonance:
+) -> ResonanceUnderLoad:
     """Find the resonance of an unreduced study under its scene's load (collective).
 
     The mode is the one whose estimated frequency is nearest to the load frequency.
@@ -204,12 +207,12 @@ def find_study_resonance(
 
     Returns
     -------
-    LoadResonance
+    ResonanceUnderLoad
         If no resonance is found, only the reason ``unknown`` is set.
     """
     scene, law = study.scene, study.contact
     if law is None:
-        return LoadResonance(unknown="there is no crack")
+        return ResonanceUnderLoad(unknown="there is no crack")
     mode_index = int(np.argmin(np.abs(estimated_omegas - scene.excitation.omega)))
     start_omega, crossing_speed = float(estimated_omegas[mode_index]), None
     engine_order = scene.excitation.order
@@ -218,7 +221,9 @@ def find_study_resonance(
             engine_order, scene.speed, start_omega, squared_omega_slopes[mode_index]
         )
         if math.isnan(crossing_speed):
-            return LoadResonance(unknown=f"engine order {engine_order} does not meet this mode")
+            return ResonanceUnderLoad(
+                unknown=f"engine order {engine_order} does not meet this mode"
+            )
         start_omega = engine_order * crossing_speed
     make_structure = partial(_make_search_structure, study, crossing_speed)
     return find_load_resonance(
@@ -262,7 +267,7 @@ def find_load_resonance(
     start_omega: float,
     *,
     with_small_load_resonance: bool = False,
-) -> LoadResonance:
+) -> ResonanceUnderLoad:
     """Find where a structure resonates under a scene's load, without friction (collective).
 
     Parameters
@@ -282,7 +287,7 @@ def find_load_resonance(
 
     Returns
     -------
-    LoadResonance
+    ResonanceUnderLoad
         If no resonance is found, or the structure cannot be made, only the reason ``unknown`` is
         set.
     """
@@ -293,7 +298,7 @@ def find_load_resonance(
 
     balance_table, friction_law = scene.harmonic_balance, friction_of(law)
     law = law if friction_law is None else friction_law.law
-    small_load_value = math.nan
+    omega_or_speed_under_small_load = math.nan
     try:
         structure = make_structure()
         parameter = "speed" if isinstance(structure, RunUpStructure) else "omega"
@@ -301,25 +306,30 @@ def find_load_resonance(
             structure, start_omega, law, balance_table.harmonics, balance_table.samples
         )
         resonance = resonance_at(
-            problem, parameter=parameter, tolerance=MAX_RESONANCE_TRUNCATION_ERROR
+            problem, parameter=parameter, tolerance=MAX_AMPLITUDE_ERROR_BY_HARMONICS
         )
         if with_small_load_resonance:
-            small_load_value = resonance.value
+            omega_or_speed_under_small_load = resonance.value
             # A mean load or a clearance holds pairs under a small load, which compresses no layer.
-            is_held = np.any(structure.force[0]) or np.any(structure.clearance)
-            if is_held or is_layered(law):
+            has_mean_load_or_clearance = np.any(structure.force[0]) or np.any(structure.clearance)
+            if has_mean_load_or_clearance or is_layered(law):
                 small_problem = problem_at_small_load(problem)
-                small_load_value = resonance_at(small_problem, resonance.omega, parameter).value
+                omega_or_speed_under_small_load = resonance_at(
+                    small_problem, resonance.omega, parameter
+                ).value
     except SINGLE_COMPUTATION_FAILURES as error:
-        return LoadResonance(unknown=str(error))
+        return ResonanceUnderLoad(unknown=str(error))
     if resonance.several:
-        return LoadResonance(
-            resonance.value, resonance.width, small_load_value, unknown=SEVERAL_MODES_REASON
+        return ResonanceUnderLoad(
+            resonance.value,
+            resonance.width,
+            omega_or_speed_under_small_load,
+            unknown=SEVERAL_MODES_REASON,
         )
-    solution, verdict = resonance.solution, "undecided"
+    solution, stability_verdict = resonance.solution, "undecided"
     with suppress(*SINGLE_COMPUTATION_FAILURES):
-        verdict = floquet(solution.structure, solution).verdict
-    return LoadResonance(
-        resonance.value, resonance.width, small_load_value, solution.amplitude(),
-        resonance.error, verdict,
+        stability_verdict = floquet(solution.structure, solution).verdict
+    return ResonanceUnderLoad(
+        resonance.value, resonance.width, omega_or_speed_under_small_load, solution.amplitude(),
+        resonance.error, stability_verdict,
     )  # fmt: skip

@@ -17,7 +17,7 @@ from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.fem.setting import clearance_of, damping_rule_of
 from fenics_crack.files.store import list_scene_file_digests
-from fenics_crack.model.body import DEFAULT_SETTING
+from fenics_crack.model.body import SETTING_WITHOUT_CHANGES
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
@@ -120,18 +120,22 @@ def assemble_or_reuse_structure(
             "damping": damping_rule_of(scene.damping),
         }
         if last_shared_structure.dependencies[1] != dependencies[1]:
-            from fenics_crack.fem.build import assemble_body_fields_of_load
+            from fenics_crack.fem.build import assemble_force_watched_and_clamp
 
-            setting_changes |= assemble_body_fields_of_load(scene, last_shared_structure.structure)
+            setting_changes |= assemble_force_watched_and_clamp(
+                scene, last_shared_structure.structure
+            )
         last_shared_structures[:] = [
             SharedStructure(
-                last_shared_structure.structure._in_setting(DEFAULT_SETTING, **setting_changes),
+                last_shared_structure.structure._in_setting(
+                    SETTING_WITHOUT_CHANGES, **setting_changes
+                ),
                 comm,
                 dependencies,
             )
         ]
     for structure_file in structure_files:
-        structure_file.note_shared_structure(last_shared_structures[0], scene)
+        structure_file.note_structure_for_writing(last_shared_structures[0], scene)
     return last_shared_structures[0].structure
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.fem.setting import list_force_harmonic_vectors
+from fenics_crack.fem.setting import list_mean_cos_and_sin_force_vectors
 from fenics_crack.files.codec import DATASET_ERROR_CLASSES, pack_dataclass, unpack_dataclass
 from fenics_crack.files.store import program_fingerprint_text, read_result_file, write_result_file
 from fenics_crack.model.factor import local_rows
@@ -35,7 +35,7 @@ from fenics_crack.study.sharing import (
 )
 
 STRUCTURE_FILE_KIND = "structure of a command"
-MAX_DATASET_BYTES = 500 * 10**6
+MAX_STRUCTURE_FILE_BYTES = 500 * 10**6
 """Maximum size of all arrays in a structure file [byte]; a larger structure is not kept."""
 
 
@@ -77,7 +77,7 @@ class StructureFile:
             if not self._cached_prepared_files:
                 stored_file = read_result_file(self._path, comm)
                 stored_file.check_kind(STRUCTURE_FILE_KIND)
-                with stored_file.yield_checked_datasets() as datasets:
+                with stored_file.yield_datasets_with_valid_numbers() as datasets:
                     self._cached_prepared_files.append(
                         unpack_dataclass(PreparedFileContent, datasets)
                     )
@@ -97,11 +97,13 @@ class StructureFile:
             return None
         self._noted_structures_and_scenes[:] = [(shared_structure, scene)]
         self._n_stored_bytes = _count_dataset_bytes(pack_dataclass(prepared_file))
-        source_text = f"the structure is read from this file ({self._n_stored_bytes / 1e6:.3g} MB)"
-        self._print_line(f"{self._path}: {source_text}; --fresh computes it again")
+        read_from_file_text = (
+            f"the structure is read from this file ({self._n_stored_bytes / 1e6:.3g} MB)"
+        )
+        self._print_line(f"{self._path}: {read_from_file_text}; --fresh computes it again")
         return shared_structure
 
-    def note_shared_structure(self, shared_structure: SharedStructure, scene: Scene) -> None:
+    def note_structure_for_writing(self, shared_structure: SharedStructure, scene: Scene) -> None:
         """Note a structure, for :meth:`write_noted_structure` to write.
 
         It replaces the structure noted before, if both have the same mesh. If the meshes differ,
@@ -144,9 +146,11 @@ class StructureFile:
             ):
                 return
             try:
-                if n_dataset_bytes > MAX_DATASET_BYTES:
+                if n_dataset_bytes > MAX_STRUCTURE_FILE_BYTES:
                     raise InputError(
-                        "path", str(self._path), f"a file of at most {MAX_DATASET_BYTES / 1e6:g} MB"
+                        "path",
+                        str(self._path),
+                        f"a file of at most {MAX_STRUCTURE_FILE_BYTES / 1e6:g} MB",
                     )
                 write_result_file(
                     dataset_by_name,
@@ -177,7 +181,7 @@ def _gather_prepared_structure(
         stiffness=GatheredCsrMatrix.gather(
             local_rows(shared_structure.structure.stiffness), shared_structure.comm
         ),
-        excitation=np.array(list_force_harmonic_vectors(scene), dtype=float),
+        excitation=np.array(list_mean_cos_and_sin_force_vectors(scene), dtype=float),
     )  # fmt: skip
 
 

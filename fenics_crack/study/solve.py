@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
-from fenics_crack.balance.block_system import SOLVER_BY_FORM
+from fenics_crack.balance.block_system import BALANCE_SOLVER_CLASS_BY_FORM
 from fenics_crack.balance.error_report import UNESTIMATED_REPORT
 from fenics_crack.balance.harmonic_balance import (
     FIRST_MODE_COUNT,
@@ -81,13 +81,13 @@ def solve_study(
         solution = solve_linear(reduced_study.structure, omega, harmonics=balance_table.harmonics)
         return _make_solved_study(reduced_study, solution)
     if balance_table.tolerance is None:
-        reduced_study = with_friction_lines(reduce_study(study), omega)
+        reduced_study = with_fixed_slip_directions(reduce_study(study), omega)
         law = reduced_study.contact
         assert law is not None
         check_memory(reduced_study.structure, balance_table.harmonics)
         n_harmonics, n_samples = balance_table.harmonics, balance_table.samples
         problem = Problem(reduced_study.structure, omega, law, n_harmonics, n_samples)
-        solver = SOLVER_BY_FORM[balance_table.form](problem, throw=False)
+        solver = BALANCE_SOLVER_CLASS_BY_FORM[balance_table.form](problem, throw=False)
         solution = solver.solve(initial_solution)
         solution = solution if balance_table.error else solution.reported(UNESTIMATED_REPORT)
     else:
@@ -100,7 +100,7 @@ def solve_study(
         is_piecewise_linear(law) or structure.n_dofs <= MAX_DOFS_UNREDUCED_BY_DEFAULT
     )
     if is_rigid(law):
-        is_stability_quick = structure.light_lips
+        is_stability_quick = structure.has_massless_crack_faces
     if solution.converged and is_stability_quick and is_small(structure) and balance_table.error:
         begin_stage("stability")
         solution = replace(solution, stability=floquet(structure, solution))
@@ -128,7 +128,7 @@ def required_contact_law(study: Study) -> ContactLaw:
     return study.contact
 
 
-def with_friction_lines(study: Study, omega: float) -> Study:
+def with_fixed_slip_directions(study: Study, omega: float) -> Study:
     """Return a study with friction along a fixed line at each pair (collective).
 
     Only a solid with friction changes. A pair's line is the direction in which the pair slides if

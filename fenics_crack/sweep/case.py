@@ -25,7 +25,7 @@ from fenics_crack.basics.tables import add_frequency_entries
 from fenics_crack.curves.follow import continue_frequency
 from fenics_crack.curves.resonance import resonance_at
 from fenics_crack.curves.stability import floquet
-from fenics_crack.fem.setting import clearance_of, list_force_harmonic_vectors
+from fenics_crack.fem.setting import clearance_of, list_mean_cos_and_sin_force_vectors
 from fenics_crack.model.contact import is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, BilinearFrequencies, bilinear_frequencies
@@ -65,7 +65,7 @@ class SharedCaseOptions:
     ----------
     has_unit_loads : bool
         True if structures are built with unit forces, which each case scales by its own force.
-    ends_at_large_structure : bool
+    stops_sweep_if_structure_too_large : bool
         True if a structure too large to solve ends the sweep with an error. If False, only its
         cases fail.
     at_resonance : bool
@@ -74,17 +74,17 @@ class SharedCaseOptions:
         True if the stability of each case is assessed.
     estimates_reduction_error : bool
         True if the reduction error of each case is estimated.
-    has_only_frequencies_by_position : tuple of bool
+    frequencies_only_flags_of_last_axis : tuple of bool
         For each value of the last key in ``[sweep.over]``, True if only natural frequencies are
         computed.
     """
 
     has_unit_loads: bool
-    ends_at_large_structure: bool = False
+    stops_sweep_if_structure_too_large: bool = False
     at_resonance: bool = False
     assesses_stability: bool = True
     estimates_reduction_error: bool = True
-    has_only_frequencies_by_position: tuple[bool, ...] = (False,)
+    frequencies_only_flags_of_last_axis: tuple[bool, ...] = (False,)
 
 
 @dataclass(frozen=True)
@@ -105,12 +105,12 @@ class SweepGeometry:
         Length of the first crack; nan if unknown.
     bilinear_frequencies : BilinearFrequencies
         Natural frequencies with the crack open and bonded.
-    watched_row_by_name : dict of str to (n_dofs,)
+    dof_weight_row_by_watched_name : dict of str to (n_dofs,)
         Rows R that give displacements [m] as R u: named points by "tip.ux", the load's point by "".
         If "" is missing, each case has its own row, in the direction of its load.
     unreduced_study : Study
         Study before reduction.
-    remaining_mode_counts : tuple of int
+    ascending_mode_counts_to_try : tuple of int
         Number of modes in ``study``, then larger numbers to try if a case misses its tolerance.
         Empty if the tolerance does not choose the number.
     """
@@ -119,24 +119,26 @@ class SweepGeometry:
     has_unit_loads: bool
     crack_length: float
     bilinear_frequencies: BilinearFrequencies
-    watched_row_by_name: dict[str, np.ndarray]
+    dof_weight_row_by_watched_name: dict[str, np.ndarray]
     unreduced_study: Study
-    remaining_mode_counts: tuple[int, ...] = ()
+    ascending_mode_counts_to_try: tuple[int, ...] = ()
 
     @cached_property
     def geometry_with_more_modes(self) -> SweepGeometry | None:
-        """The same structure with the next number of modes in ``remaining_mode_counts``.
+        """The same structure with the next number of modes in ``ascending_mode_counts_to_try``.
 
         None if no larger number is left.
         """
-        if len(self.remaining_mode_counts) < 2:
+        if len(self.ascending_mode_counts_to_try) < 2:
             return None
-        study_with_more_modes = reduce_to_modes(self.unreduced_study, self.remaining_mode_counts[1])
+        study_with_more_modes = reduce_to_modes(
+            self.unreduced_study, self.ascending_mode_counts_to_try[1]
+        )
         return replace(
             self,
             study=study_with_more_modes,
-            watched_row_by_name=_find_watched_row_by_name(study_with_more_modes),
-            remaining_mode_counts=self.remaining_mode_counts[1:],
+            dof_weight_row_by_watched_name=_find_watched_row_by_name(study_with_more_modes),
+            ascending_mode_counts_to_try=self.ascending_mode_counts_to_try[1:],
         )
 
     @property
@@ -146,15 +148,15 @@ class SweepGeometry:
 
     def structure_of_case(self, scene: Scene) -> Structure:
         """Return the shared structure with a case's load and clearance."""
-        load_weight_matrix: float | np.ndarray = 1.0
+        unit_load_weight_matrix: float | np.ndarray = 1.0
         if self.has_unit_loads:
-            load_weight_matrix = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
+            unit_load_weight_matrix = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
             force_vectors = np.array(
                 [getattr(scene.excitation, force_key) for force_key in FORCE_KEYS]
             )
-            load_weight_matrix[:, -scene.dimension :] = force_vectors[:, ::-1]
+            unit_load_weight_matrix[:, -scene.dimension :] = force_vectors[:, ::-1]
         clearance = clearance_of(scene, self.structure.pairs) if scene.crack_by_name else 0.0
-        return self.structure.varied(load=load_weight_matrix, clearance=clearance)
+        return self.structure.varied(load=unit_load_weight_matrix, clearance=clearance)
 
 
 def build_sweep_geometry(
@@ -206,7 +208,7 @@ def build_sweep_geometry(
     unreduced_study = prepare(
         scene, comm, whole=True, like=None if last_geometry is None else last_geometry.study
     )
-    remaining_mode_counts = (
+    ascending_mode_counts_to_try = (
         candidate_mode_counts(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
         if case_options.estimates_reduction_error
         else []
@@ -214,7 +216,7 @@ def build_sweep_geometry(
     # Natural frequencies have no error of their own: they are of many modes.
     many_mode_study = reduce_study(
         unreduced_study,
-        with_reference=case_options.estimates_reduction_error and not remaining_mode_counts,
+        with_reference=case_options.estimates_reduction_error and not ascending_mode_counts_to_try,
     )
     structure = many_mode_study.structure
     if not is_small(structure):
@@ -229,19 +231,19 @@ def build_sweep_geometry(
     crack_length = crack_lengths[0] if crack_lengths and crack_lengths[0] is not None else np.nan
     natural_frequencies = bilinear_frequencies(structure)
     study = (
-        reduce_to_modes(unreduced_study, remaining_mode_counts[0])
-        if remaining_mode_counts
+        reduce_to_modes(unreduced_study, ascending_mode_counts_to_try[0])
+        if ascending_mode_counts_to_try
         else many_mode_study
     )
-    watched_row_by_name = _find_watched_row_by_name(study)
+    dof_weight_row_by_watched_name = _find_watched_row_by_name(study)
     return SweepGeometry(
         study,
         case_options.has_unit_loads,
         crack_length,
         natural_frequencies,
-        watched_row_by_name,
+        dof_weight_row_by_watched_name,
         unreduced_study,
-        tuple(remaining_mode_counts),
+        tuple(ascending_mode_counts_to_try),
     )
 
 
@@ -259,7 +261,7 @@ def iterate_geometries_with_more_modes(
     while geometry is not None:
         yield geometry
         geometry = geometry.geometry_with_more_modes
-    if first_geometry.remaining_mode_counts:
+    if first_geometry.ascending_mode_counts_to_try:
         yield build_sweep_geometry(
             scene, MPI.COMM_SELF, replace(case_options, estimates_reduction_error=False)
         )
@@ -338,13 +340,13 @@ def solve_chunk(
         Values by column name for each case tried, in the order of the chunk. A failed case has the
         reason in the column ``status``.
     """
-    solver, chunk_case_values = CaseSolver(geometry), []
-    has_only_frequencies = case_options.has_only_frequencies_by_position
+    solver, result_values_of_chunk_cases = CaseSolver(geometry), []
+    frequencies_only_flags = case_options.frequencies_only_flags_of_last_axis
     for case_number, case in zip(chunk.case_numbers.tolist(), chunk.scenes_or_reasons, strict=True):
         if not may_continue():
             break
         if isinstance(case, str):
-            chunk_case_values.append({"status": case})
+            result_values_of_chunk_cases.append({"status": case})
             solver.forget_last_case()
             continue
         start_time = time.perf_counter()
@@ -357,15 +359,17 @@ def solve_chunk(
             **_natural_frequency_by_column(geometry.bilinear_frequencies),
         }
         try:
-            if has_only_frequencies[case_number % len(has_only_frequencies)]:
+            if frequencies_only_flags[case_number % len(frequencies_only_flags)]:
                 value_by_column["status"] = FREQUENCIES_ONLY_STATUS
             else:
                 value_by_column |= solver.solve_and_observe(case, case_options)
         except SINGLE_COMPUTATION_FAILURES as error:
             solver.forget_last_case()
             value_by_column["status"] = str(error)
-        chunk_case_values.append(value_by_column | {"seconds": time.perf_counter() - start_time})
-    return chunk_case_values
+        result_values_of_chunk_cases.append(
+            value_by_column | {"seconds": time.perf_counter() - start_time}
+        )
+    return result_values_of_chunk_cases
 
 
 class CaseSolver:
@@ -481,8 +485,8 @@ class CaseSolver:
         )
         resonance = None
         if is_unilateral(law) and not problem.has_friction:
-            nearest_value_by_name = self._geometry.bilinear_frequencies.nearest(omega)
-            bilinear_omega = float(nearest_value_by_name["omega_bilinear"])
+            nearest_mode_value_by_name = self._geometry.bilinear_frequencies.nearest(omega)
+            bilinear_omega = float(nearest_mode_value_by_name["omega_bilinear"])
             resonance = resonance_at(problem, bilinear_omega, tolerance=balance_table.tolerance)
         if resonance is None or resonance.several:
             omega, self._last_solution = self._find_peak_omega_and_solution(problem)
@@ -506,18 +510,26 @@ class CaseSolver:
             Solution at the nearest curve point.
         """
         natural_frequencies = self._geometry.bilinear_frequencies
-        nearest_value_by_name = natural_frequencies.nearest(problem.omega)
+        nearest_mode_value_by_name = natural_frequencies.nearest(problem.omega)
         mode_damping_ratios = list_modal_damping_ratios(
             self._geometry.structure.whole, natural_frequencies.omega_open
         )
-        damping_ratio = float(mode_damping_ratios[int(nearest_value_by_name["mode"]) - 1])
-        if not 0.0 < 2.0 * damping_ratio < 1.0:  # widths to either side where it is looked for
+        nearest_mode_damping_ratio = float(
+            mode_damping_ratios[int(nearest_mode_value_by_name["mode"]) - 1]
+        )
+        if (
+            not 0.0 < 2.0 * nearest_mode_damping_ratio < 1.0
+        ):  # widths to either side where it is looked for
             requirement_text = (
                 "above 0 and below 0.5 for the mode whose resonance is sought; change [damping]"
             )
-            raise InputError("damping", damping_ratio, requirement_text)
-        start_omega = (1.0 - 2.0 * damping_ratio) * float(nearest_value_by_name["omega_open"])
-        stop_omega = (1.0 + 2.0 * damping_ratio) * float(nearest_value_by_name["omega_tied"])
+            raise InputError("damping", nearest_mode_damping_ratio, requirement_text)
+        start_omega = (1.0 - 2.0 * nearest_mode_damping_ratio) * float(
+            nearest_mode_value_by_name["omega_open"]
+        )
+        stop_omega = (1.0 + 2.0 * nearest_mode_damping_ratio) * float(
+            nearest_mode_value_by_name["omega_tied"]
+        )
         response_curve = continue_frequency(
             problem.structure, start_omega, stop_omega, problem.contact,
             harmonics=problem.harmonics, samples=problem.samples, stability=False,
@@ -537,7 +549,7 @@ class CaseSolver:
             without a contact law, and for rigid contact between crack faces with mass.
         """
         structure, law, remark_text = solution.structure, solution.contact, ""
-        if law is None or (is_rigid(law) and not structure.light_lips):
+        if law is None or (is_rigid(law) and not structure.has_massless_crack_faces):
             return {}
         try:
             stability = floquet(structure, solution)
@@ -550,7 +562,9 @@ class CaseSolver:
             }
         if stability.reason:
             remark_text = f"; {stability.verdict}: {stability.reason}"
-        elif structure.light_lips and (more_modes_assessment := solution.assessment.more_modes):
+        elif structure.has_massless_crack_faces and (
+            more_modes_assessment := solution.assessment.more_modes
+        ):
             contradiction_text = more_modes_assessment.describe_contradiction(stability.verdict)
             remark_text = (
                 CONTRADICTION_STATUS_PREFIX + contradiction_text if contradiction_text else ""
@@ -600,12 +614,19 @@ def _observe_value_by_column(
     displacement. Crack-face indicators follow. Quantities at crack tips and at the clamp are
     included if the scene requests them.
     """
-    row_by_name = _find_load_direction_row_by_name(solution, case) | geometry.watched_row_by_name
-    row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))
-    observed_displacements, value_by_column = solution.observe_rows(
-        row_matrix, make_requested_rows_and_readers(geometry.study)
+    dof_weight_row_by_point_name = (
+        _find_load_direction_row_by_name(solution, case) | geometry.dof_weight_row_by_watched_name
     )
-    for point_name, observed_displacement in zip(row_by_name, observed_displacements, strict=True):
+    dof_weight_rows = np.reshape(
+        [*dof_weight_row_by_point_name.values()],
+        (len(dof_weight_row_by_point_name), solution.structure.n_dofs),
+    )
+    observed_displacements, value_by_column = solution.observe_rows(
+        dof_weight_rows, make_requested_rows_and_readers(geometry.study)
+    )
+    for point_name, observed_displacement in zip(
+        dof_weight_row_by_point_name, observed_displacements, strict=True
+    ):
         value_by_quantity = {
             quantity: getattr(observed_displacement.indicators, quantity)
             for quantity in UNIT_BY_OUTPUT_POINT_QUANTITY
@@ -634,9 +655,11 @@ def _find_load_direction_row_by_name(
     vector F at the load's point, the structure's load vector is f, and R = f / |F|. The result is a
     dictionary with the key "". It is empty without a force.
     """
-    force_norms = np.linalg.norm(list_force_harmonic_vectors(case), axis=1)
-    part_index = (
-        len(force_norms) - 1 - int(np.argmax(force_norms[:0:-1])) if np.any(force_norms[1:]) else 0
+    force_norms_of_fourier_parts = np.linalg.norm(list_mean_cos_and_sin_force_vectors(case), axis=1)
+    fourier_part_index = (
+        len(force_norms_of_fourier_parts) - 1 - int(np.argmax(force_norms_of_fourier_parts[:0:-1]))
+        if np.any(force_norms_of_fourier_parts[1:])
+        else 0
     )
-    force_norm = force_norms[part_index]
-    return {"": solution.structure.force[part_index] / force_norm} if force_norm else {}
+    force_norm = force_norms_of_fourier_parts[fourier_part_index]
+    return {"": solution.structure.force[fourier_part_index] / force_norm} if force_norm else {}

@@ -32,7 +32,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from fenics_crack.basics.atomic_files import partial_file, report_write_errors, write_bytes_at
-from fenics_crack.basics.errors import N_FREQUENCIES_PER_CRACK_STATE, WriteError
+from fenics_crack.basics.errors import N_NATURAL_MODES_PER_CRACK_STATE, WriteError
 from fenics_crack.basics.observables import (
     OBSERVABLES_BY_NAME,
     REQUIRES_FRICTION,
@@ -43,7 +43,7 @@ from fenics_crack.basics.tables import UNIT_BY_DICT_ENTRY_NAME
 from fenics_crack.basics.untrusted_files import MAX_INPUT_FILE_BYTES, regular_file_size
 from fenics_crack.files import store
 from fenics_crack.files.store import dataset_attribute_texts
-from fenics_crack.scene.keys import RESULT_TABLE_NAMES
+from fenics_crack.scene.keys import RESULT_SETTINGS_TABLE_NAMES
 from fenics_crack.scene.scene import Scene, list_requested_extra_quantities
 from fenics_crack.scene.words import describe_differences
 from fenics_crack.version import VERSION
@@ -78,7 +78,7 @@ def column_name_at_load(quantity: str) -> str:
     return "response" if quantity == "amplitude" else quantity
 
 
-STORED_MODE_NUMBERS = range(1, N_FREQUENCIES_PER_CRACK_STATE + 1)
+STORED_MODE_NUMBERS = range(1, N_NATURAL_MODES_PER_CRACK_STATE + 1)
 """Numbers of the modes, 1 to 6, whose natural frequencies are stored for each case."""
 LABEL_AND_UNIT_BY_FREQUENCY_COLUMN = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
@@ -117,7 +117,9 @@ UNIT_AND_NUMPY_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
     **{
         name: (UNIT_BY_DICT_ENTRY_NAME[name], "f8")
         for name in observable_names(
-            Place.CRACK_FACES, Place.NEAREST_MODE, excluded_flags=REQUIRES_FRICTION
+            Place.CRACK_FACES,
+            Place.MODE_NEAREST_TO_LOAD_FREQUENCY,
+            excluded_flags=REQUIRES_FRICTION,
         )
     },
     **{name: (unit, "f8") for name, (_, unit) in LABEL_AND_UNIT_BY_FREQUENCY_COLUMN.items()},
@@ -138,7 +140,7 @@ UNIT_AND_NUMPY_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
 The column ``state``, columns of named points, and requested quantities are not included.
 """
 CHANGES_REMOVING_UNUSED_TABLES = dict.fromkeys(
-    name for name in RESULT_TABLE_NAMES if name not in ("sweep", "output", "growth")
+    name for name in RESULT_SETTINGS_TABLE_NAMES if name not in ("sweep", "output", "growth")
 )
 """Changes for ``Scene.replace`` that remove the tables without effect on any sweep case."""
 UNIT_BY_FOURIER_COEFFICIENT_DATASET = {"gap": "m", "force": "N"}
@@ -172,9 +174,9 @@ def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
         *(observable_names(required_flags=REQUIRES_FRICTION) if scene.has_friction else ()),
         *list_requested_extra_quantities(scene),
     )
-    unit_and_type_by_point_column = {
+    unit_and_type_by_output_point_column = {
         f"{point_name}.{column_name}": (unit, "f8")
-        for point_name in scene.label_by_point_name
+        for point_name in scene.label_by_displacement_name
         for column_name, unit in (UNIT_BY_OUTPUT_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
     }
     return (
@@ -183,7 +185,7 @@ def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
             column_name: (UNIT_BY_DICT_ENTRY_NAME[column_name], "f8")
             for column_name in requested_quantity_names
         }
-        | unit_and_type_by_point_column
+        | unit_and_type_by_output_point_column
     )
 
 
@@ -237,7 +239,7 @@ class SweepFile:
             new_header = (
                 None
                 if os.path.lexists(path)
-                else _make_file_and_header_or_none(
+                else _make_file_and_header_unless_exists(
                     path, scene, n_harmonics_upper_bound, n_gap_rows_upper_bound, omitted_options
                 )
             )
@@ -256,7 +258,7 @@ class SweepFile:
                 raise
         self.is_new = new_header is not None
 
-    def write_pending_cases(
+    def write_cases_unless_already_stored(
         self, case_numbers: np.ndarray, values_of_cases: Sequence[Mapping[str, Any]]
     ) -> None:
         """Write the given cases into the file, except those converged or failed already.
@@ -274,11 +276,16 @@ class SweepFile:
         InputError
             The disk is full, or the file was moved; earlier cases stay written.
         """
-        pending_positions = np.flatnonzero(self.case_states.flat[case_numbers] == CaseState.PENDING)
-        if len(pending_positions):
+        pending_given_case_indices = np.flatnonzero(
+            self.case_states.flat[case_numbers] == CaseState.PENDING
+        )
+        if len(pending_given_case_indices):
             self.write_cases(
-                case_numbers[pending_positions],
-                [values_of_cases[pending_position] for pending_position in pending_positions],
+                case_numbers[pending_given_case_indices],
+                [
+                    values_of_cases[pending_given_case_index]
+                    for pending_given_case_index in pending_given_case_indices
+                ],
             )
 
     def write_cases(
@@ -409,8 +416,8 @@ def _pad_waves(waves: list[np.ndarray], n_columns: int) -> np.ndarray:
     ``waves`` are arrays of at most ``n_columns`` columns; ``n_rows`` is the largest number of rows.
     """
     padded_waves = np.full((len(waves), max(map(len, waves)), n_columns), np.nan)
-    for padded_wave, wave in zip(padded_waves, waves, strict=True):
-        padded_wave[: wave.shape[0], : wave.shape[1]] = wave
+    for padded_wave, unpadded_wave in zip(padded_waves, waves, strict=True):
+        padded_wave[: unpadded_wave.shape[0], : unpadded_wave.shape[1]] = unpadded_wave
     return padded_waves
 
 
@@ -432,7 +439,7 @@ def _encode_column(column_values: Sequence[Any], column_type: np.dtype[Any]) -> 
     )
 
 
-def _make_file_and_header_or_none(
+def _make_file_and_header_unless_exists(
     path: Path,
     scene: Scene,
     n_harmonics_upper_bound: int,
@@ -479,11 +486,11 @@ def _make_file_and_header_or_none(
             )
             # OSError here if file sizes are limited; HDF5 would meet the limit later.
             new_file.truncate(sum(byte_counts_of_datasets))
-            sweep_header = _write_datasets_and_make_header(
+            new_sweep_header = _write_datasets_and_make_header(
                 memory_file, path, scene, unit_type_shape_by_dataset, omitted_options
             )
             _copy_written_parts(memory_file.fileno(), new_file.fileno())
-        return sweep_header
+        return new_sweep_header
     return None
 
 
@@ -531,9 +538,9 @@ def _write_datasets_and_make_header(
             for attribute_name, attribute_text in attribute_text_by_name.items():
                 hdf5_dataset.attrs[attribute_name] = attribute_text
                 attribute_text_by_path[f"{dataset_name}/{attribute_name}"] = attribute_text
-            located_column_by_name[dataset_name] = store.locate_column(hdf5_dataset)
+            located_column_by_name[dataset_name] = store.locate_dataset_in_file(hdf5_dataset)
         attribute_text_by_path["digest"] = store.content_digest(
-            attribute_text_by_path, store.column_texts(located_column_by_name)
+            attribute_text_by_path, store.dataset_location_texts(located_column_by_name)
         )
         hdf5_file.attrs["digest"] = attribute_text_by_path["digest"]
         return store.StoredFile(path, attribute_text_by_path, {}, located_column_by_name)
@@ -623,14 +630,18 @@ def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
             if stored_scene is not None
             else ""
         )
-        begun_text = f" (this one was begun with {difference_text})" if difference_text else ""
+        stored_scene_difference_clause = (
+            f" (this one was begun with {difference_text})" if difference_text else ""
+        )
         requirement_text = (
-            f"a sweep of the same scene{begun_text}; for another scene choose a new folder"
+            f"a sweep of the same scene{stored_scene_difference_clause}; for another scene choose "
+            f"a new folder"
         )
         raise sweep_header.refusal(requirement_text)
-    if (version := sweep_header.attributes["version"]) != VERSION:
+    if (stored_program_version := sweep_header.attributes["version"]) != VERSION:
         raise sweep_header.refusal(
-            f"a sweep that version {VERSION} began; version {version} began it: choose a new folder"
+            f"a sweep that version {VERSION} began; version {stored_program_version} began it: "
+            "choose a new folder"
         )
     sweep_header.check_files(stored_scene)
     if not _unit_and_type_by_dataset(scene).keys() <= sweep_header.columns.keys():
@@ -647,15 +658,18 @@ def _check_omitted_options_match(
     ``omitted_options`` are computations to leave out now, as in :class:`SweepFile`. Files from
     earlier versions do not state theirs and are accepted.
     """
-    stored_option_names = sweep_header.attributes.get("omitted", " ".join(omitted_options)).split()
+    stored_omitted_option_names = sweep_header.attributes.get(
+        "omitted", " ".join(omitted_options)
+    ).split()
     changed_option_texts = [
-        f"{option_name}={option_name not in stored_option_names}"
-        for option_name in sorted({*stored_option_names} ^ {*omitted_options})
+        f"{option_name}={option_name not in stored_omitted_option_names}"
+        for option_name in sorted({*stored_omitted_option_names} ^ {*omitted_options})
     ]
     if changed_option_texts:
-        begun_text = f"this one was begun with {', '.join(changed_option_texts)}"
+        original_options_text = f"this one was begun with {', '.join(changed_option_texts)}"
         requirement_text = (
-            f"a sweep with the same options ({begun_text}); for others choose a new folder"
+            f"a sweep with the same options ({original_options_text}); for others choose a new "
+            f"folder"
         )
         raise sweep_header.refusal(requirement_text)
 
@@ -690,10 +704,10 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
         raise sweep_header.refusal(f"{requirement_text}: compute it again in a new folder")
     axes_shape, n_column_bytes = scene.given("sweep").shape, 0
     for column_name, (_, type_name) in _unit_and_type_by_dataset(scene).items():
-        if (stored_column := sweep_header.columns.get(column_name)) is not None:
-            if stored_column.shape != axes_shape or stored_column.dtype != np.dtype(type_name):
+        if (checked_column := sweep_header.columns.get(column_name)) is not None:
+            if checked_column.shape != axes_shape or checked_column.dtype != np.dtype(type_name):
                 raise sweep_header.refusal(SWEEP_COLUMNS_REQUIREMENT)
-            n_column_bytes += stored_column.n_bytes
+            n_column_bytes += checked_column.n_bytes
     if n_column_bytes > MAX_INPUT_FILE_BYTES:
         raise sweep_header.refusal(
             f"a sweep with at most {MAX_INPUT_FILE_BYTES / 2**30:g} GiB of columns; sweep "
@@ -716,14 +730,16 @@ def _read_columns_and_find_damage(
     is_damaged : (n_cases,) bool
         True for cases whose stored state does not match the checksum.
     """
-    column_by_name, is_damaged = _read_columns_and_find_damage_once(sweep_header, scene)
-    if is_damaged.any():  # or is being written at this moment
-        column_by_name, is_damaged_again = _read_columns_and_find_damage_once(sweep_header, scene)
-        is_damaged &= is_damaged_again
-    return column_by_name, is_damaged
+    column_by_name, is_case_damaged = _read_columns_and_damage_flags_once(sweep_header, scene)
+    if is_case_damaged.any():  # or is being written at this moment
+        column_by_name, is_case_damaged_again = _read_columns_and_damage_flags_once(
+            sweep_header, scene
+        )
+        is_case_damaged &= is_case_damaged_again
+    return column_by_name, is_case_damaged
 
 
-def _read_columns_and_find_damage_once(
+def _read_columns_and_damage_flags_once(
     sweep_header: store.StoredFile, scene: Scene
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Read all columns of a sweep's file, and compare states with checksums.
@@ -749,20 +765,20 @@ def _read_columns_and_find_damage_once(
     stored_states, stored_checksums = map(column_by_name.pop, ("state", CASE_CHECKSUM_COLUMN_NAME))
     written_case_numbers = np.flatnonzero(stored_checksums)
     case_states = np.full(len(stored_states), CaseState.PENDING, stored_states.dtype)
-    written_column_by_name = {
+    column_of_written_cases_by_name = {
         column_name: column_values[written_case_numbers]
         for column_name, column_values in column_by_name.items()
     }
     for candidate_state in (CaseState.CONVERGED, CaseState.FAILED):
-        is_confirmed = (
+        has_matching_checksum = (
             _compute_case_checksums(
-                written_column_by_name, np.full(len(written_case_numbers), candidate_state)
+                column_of_written_cases_by_name, np.full(len(written_case_numbers), candidate_state)
             )
             == stored_checksums[written_case_numbers]
         )
-        case_states[written_case_numbers[is_confirmed]] = candidate_state
-    is_damaged = (case_states == CaseState.PENDING) & (stored_states != CaseState.PENDING)
-    return {"state": case_states} | column_by_name, is_damaged
+        case_states[written_case_numbers[has_matching_checksum]] = candidate_state
+    is_case_damaged = (case_states == CaseState.PENDING) & (stored_states != CaseState.PENDING)
+    return {"state": case_states} | column_by_name, is_case_damaged
 
 
 def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndarray:
@@ -786,14 +802,15 @@ def read_column_by_name(sweep_header: store.StoredFile, scene: Scene) -> dict[st
     in a column with whole numbers, and empty in a column with texts. Damaged cases raise
     InputError.
     """
-    flat_column_by_name, is_damaged = _read_columns_and_find_damage(sweep_header, scene)
+    flat_column_by_name, is_case_damaged = _read_columns_and_find_damage(sweep_header, scene)
     axes_shape, column_by_name = scene.given("sweep").shape, {}
-    if is_damaged.any():
-        first_damaged_index = tuple(
-            map(int, np.unravel_index(int(np.argmax(is_damaged)), axes_shape))
+    if is_case_damaged.any():
+        first_damaged_case_index = tuple(
+            map(int, np.unravel_index(int(np.argmax(is_case_damaged)), axes_shape))
         )
         damage_text = (
-            f"{is_damaged.sum()} of its cases are damaged, the first at index {first_damaged_index}"
+            f"{is_case_damaged.sum()} of its cases are damaged, the first at index "
+            f"{first_damaged_case_index}"
         )
         raise sweep_header.refusal(
             f"undamaged: {damage_text}; run the same command again to compute them"
@@ -877,10 +894,12 @@ def _read_intact_coefficients(
                 if wave_name in stored_column_by_name
                 else (n_coefficients, 0)
             )
-            wave_start = case_number * n_stored_coefficients * n_gap_rows
+            first_dataset_value_index = case_number * n_stored_coefficients * n_gap_rows
             n_values = n_coefficients * n_gap_rows
             wave = (
-                stored_column_by_name[wave_name].read_numbers(file_path, wave_start, n_values)
+                stored_column_by_name[wave_name].read_numbers(
+                    file_path, first_dataset_value_index, n_values
+                )
                 if n_values
                 else np.zeros(0)
             )
@@ -888,9 +907,11 @@ def _read_intact_coefficients(
     except (OSError, ValueError, KeyError):
         return None
     is_used_gap_row = np.isfinite(waves[0][0])
-    gap, force = (np.ascontiguousarray(wave[:, is_used_gap_row]) for wave in waves)
+    gap_coefficients, contact_force_coefficients = (
+        np.ascontiguousarray(wave[:, is_used_gap_row]) for wave in waves
+    )
     is_intact = (
         n_coefficients <= n_stored_coefficients
-        and _compute_waves_checksum(gap, force) == stored_checksum
+        and _compute_waves_checksum(gap_coefficients, contact_force_coefficients) == stored_checksum
     )
-    return (gap, force) if is_intact else None
+    return (gap_coefficients, contact_force_coefficients) if is_intact else None

@@ -115,8 +115,8 @@ class Worker:
                 self._build_geometry(job.geometry_number, chunks)
                 yield self._solve_chunk(chunk, may_continue)
             except Exception:
-                message_text = f"a job of the sweep ended with\n{traceback.format_exc()}"
-                yield chunk.case_numbers, RuntimeError(message_text)
+                traceback_text = f"a job of the sweep ended with\n{traceback.format_exc()}"
+                yield chunk.case_numbers, RuntimeError(traceback_text)
                 return
 
     def _build_geometry(self, geometry_number: int, chunks: list[Chunk]) -> None:
@@ -174,16 +174,18 @@ class Worker:
         """
         geometry_or_error = self._geometry_or_error
         if isinstance(geometry_or_error, SweepGeometry):
-            chunk_case_values = solve_chunk(
+            result_values_of_chunk_cases = solve_chunk(
                 geometry_or_error, chunk, self._case_options, may_continue
             )
-            return chunk.case_numbers[: len(chunk_case_values)], chunk_case_values
-        is_too_large = (
+            return chunk.case_numbers[
+                : len(result_values_of_chunk_cases)
+            ], result_values_of_chunk_cases
+        is_structure_too_large = (
             isinstance(geometry_or_error, InputError)
             and geometry_or_error.key == "reduction.method"
         )
         if geometry_or_error is None or not (
-            is_too_large and self._case_options.ends_at_large_structure
+            is_structure_too_large and self._case_options.stops_sweep_if_structure_too_large
         ):
             reasons = [
                 scene_or_reason if isinstance(scene_or_reason, str) else str(geometry_or_error)
@@ -198,12 +200,14 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
 
     ``comm`` has all ranks of the sweep. Each chunk's outcome goes back to rank 0.
     """
-    send_requests: list[MPI.Request] = []
+    send_requests_to_rank_0: list[MPI.Request] = []
 
     def may_continue() -> bool:
         """Forget messages sent completely; return False once END has arrived."""
-        send_requests[:] = [
-            send_request for send_request in send_requests if not send_request.Test()
+        send_requests_to_rank_0[:] = [
+            send_request_to_rank_0
+            for send_request_to_rank_0 in send_requests_to_rank_0
+            if not send_request_to_rank_0.Test()
         ]
         return not comm.iprobe(source=0, tag=MessageTag.END)
 
@@ -211,12 +215,12 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
     while message_status.tag != MessageTag.END:
         job = _receive_message(comm, message_status)
         if message_status.tag == MessageTag.JOB:
-            send_requests += [
-                comm.isend(outcome, 0)
-                for outcome in worker.iterate_chunk_outcomes(job, may_continue)
+            send_requests_to_rank_0 += [
+                comm.isend(case_numbers_and_outcome, 0)
+                for case_numbers_and_outcome in worker.iterate_chunk_outcomes(job, may_continue)
             ]
-            send_requests.append(comm.isend(None, 0))
-    MPI.Request.waitall(send_requests)
+            send_requests_to_rank_0.append(comm.isend(None, 0))
+    MPI.Request.waitall(send_requests_to_rank_0)
 
 
 def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
@@ -252,18 +256,18 @@ class Manager:
         self.plan, self._sweep_file, self._n_ranks = plan, sweep_file, n_ranks
         chunk_case_numbers_by_geometry = {
             geometry_number: [
-                case_numbers
-                for case_numbers in chunk_case_numbers
-                if np.any(sweep_file.case_states.flat[case_numbers] == CaseState.PENDING)
+                case_numbers_of_chunk
+                for case_numbers_of_chunk in case_numbers_of_chunks
+                if np.any(sweep_file.case_states.flat[case_numbers_of_chunk] == CaseState.PENDING)
             ]
-            for geometry_number, chunk_case_numbers in enumerate(
+            for geometry_number, case_numbers_of_chunks in enumerate(
                 plan.chunk_case_numbers_by_geometry
             )
         }
         # The longest jobs first: the last ones are what ranks wait for.
         ordered_geometry_numbers = sorted(
             chunk_case_numbers_by_geometry,
-            key=plan.pair_bounds_and_crack_lengths.__getitem__,
+            key=plan.pair_count_bounds_and_crack_lengths.__getitem__,
             reverse=True,
         )
         self._remaining_case_numbers_by_geometry = {
@@ -328,11 +332,11 @@ class Manager:
             return self._first_error is None and not stop_request.is_requested(MPI.COMM_SELF)
 
         try:
-            for rank in other_ranks:
-                self._send_job(comm, rank)
+            for receiving_rank in other_ranks:
+                self._send_job(comm, receiving_rank)
             job = self._take_next_job(0)
-            for rank in other_ranks:  # a second job, to go on with
-                self._send_job(comm, rank)
+            for receiving_rank in other_ranks:  # a second job, to go on with
+                self._send_job(comm, receiving_rank)
             while job is not None and may_continue():
                 for case_numbers, outcome in worker.iterate_chunk_outcomes(job, may_continue):
                     self._record_outcome(case_numbers, outcome)
@@ -346,8 +350,8 @@ class Manager:
             if not is_second_interrupt:  # else what is written is all
                 self._keep_error_and_discard_jobs(error)
         self._remaining_case_numbers_by_geometry.clear()
-        for rank in other_ranks:
-            comm.send(None, rank, tag=MessageTag.END)
+        for receiving_rank in other_ranks:
+            comm.send(None, receiving_rank, tag=MessageTag.END)
         while self._n_jobs_at_other_ranks:
             self._receive_outcome(comm)
         self._progress_bar.close()
@@ -405,19 +409,19 @@ class Manager:
                 key=lambda number: len(self._remaining_case_numbers_by_geometry[number]),
             )
         self._geometry_number_by_rank[rank] = geometry_number
-        chunk_case_numbers = self._remaining_case_numbers_by_geometry[geometry_number]
+        case_numbers_of_chunks = self._remaining_case_numbers_by_geometry[geometry_number]
         is_whole_geometry = self._n_ranks == 1 or len(unassigned_geometry_numbers) > self._n_ranks
         n_job_chunks = (
-            len(chunk_case_numbers)
+            len(case_numbers_of_chunks)
             if is_whole_geometry
-            else -(-len(chunk_case_numbers) // (2 * self._n_ranks))
+            else -(-len(case_numbers_of_chunks) // (2 * self._n_ranks))
         )
-        self._remaining_case_numbers_by_geometry[geometry_number] = chunk_case_numbers[
+        self._remaining_case_numbers_by_geometry[geometry_number] = case_numbers_of_chunks[
             n_job_chunks:
         ]
         if not self._remaining_case_numbers_by_geometry[geometry_number]:
             del self._remaining_case_numbers_by_geometry[geometry_number]
-        return Job(geometry_number, tuple(chunk_case_numbers[:n_job_chunks]))
+        return Job(geometry_number, tuple(case_numbers_of_chunks[:n_job_chunks]))
 
     def _record_outcome(self, case_numbers: np.ndarray, outcome: ChunkOutcome) -> None:
         """Write a chunk's cases to the file.
@@ -428,7 +432,7 @@ class Manager:
             self._keep_error_and_discard_jobs(outcome)
             return
         try:
-            self._sweep_file.write_pending_cases(case_numbers, outcome)
+            self._sweep_file.write_cases_unless_already_stored(case_numbers, outcome)
         except InputError as error:
             self._keep_error_and_discard_jobs(error)
             return

@@ -60,7 +60,7 @@ class Plan:
     ----------
     shape : tuple of int
         Number of values on each sweep axis.
-    sweeps_reduction_method : bool
+    is_reduction_method_swept : bool
         True if the sweep changes ``reduction.method``.
     has_unit_loads : bool
         True if the sweep changes the force, and structures are built with unit forces.
@@ -81,7 +81,7 @@ class Plan:
         self._scene_without_sweep = scene.replace({"sweep": None})
         self._n_gap_rows_per_pair = 2 if scene.has_friction else 1
         self.shape: tuple[int, ...] = sweep_table.shape
-        self.sweeps_reduction_method = "reduction.method" in self._swept_values_by_key
+        self.is_reduction_method_swept = "reduction.method" in self._swept_values_by_key
         geometry_independent_keys = _find_keys_sharing_geometry(scene, self._swept_values_by_key)
         # Where the force is swept, geometries are built with unit loads.
         self.has_unit_loads = not geometry_independent_keys.isdisjoint(
@@ -143,7 +143,7 @@ class Plan:
             if swept_keys[axis_index] in LOAD_FREQUENCY_KEYS
         ]
         chunk_axis_indices = (frequency_axis_indices or independent_axis_indices)[-1:]
-        inner_axis_indices = [
+        other_independent_axis_indices = [
             axis_index
             for axis_index in independent_axis_indices
             if axis_index not in chunk_axis_indices
@@ -153,22 +153,24 @@ class Plan:
             for axis_index in range(len(swept_keys))
             if axis_index not in independent_axis_indices
         ]
-        chunk_axis_length = self.shape[chunk_axis_indices[0]] if chunk_axis_indices else 1
+        n_values_on_chunk_axis = self.shape[chunk_axis_indices[0]] if chunk_axis_indices else 1
         case_numbers = np.arange(math.prod(self.shape)).reshape(self.shape)
         case_numbers = case_numbers.transpose(
-            [*geometry_axis_indices, *inner_axis_indices, *chunk_axis_indices]
+            [*geometry_axis_indices, *other_independent_axis_indices, *chunk_axis_indices]
         )
         case_numbers_by_geometry = case_numbers.reshape(
             math.prod(self.shape[axis_index] for axis_index in geometry_axis_indices),
             -1,
-            chunk_axis_length,
+            n_values_on_chunk_axis,
         )
-        n_chunks = -(-chunk_axis_length // 16)  # cases of a chunk at most
+        n_chunks_along_chunk_axis = -(-n_values_on_chunk_axis // 16)  # cases of a chunk at most
         return [
             [
                 chunk_case_numbers
-                for case_number_row in geometry_case_numbers
-                for chunk_case_numbers in np.array_split(case_number_row, n_chunks)
+                for case_numbers_along_chunk_axis in geometry_case_numbers
+                for chunk_case_numbers in np.array_split(
+                    case_numbers_along_chunk_axis, n_chunks_along_chunk_axis
+                )
             ]
             for geometry_case_numbers in case_numbers_by_geometry
         ]
@@ -181,11 +183,11 @@ class Plan:
         the tangential gap.
         """
         return self._n_gap_rows_per_pair * max(
-            n_pairs for n_pairs, _ in self.pair_bounds_and_crack_lengths
+            n_pairs for n_pairs, _ in self.pair_count_bounds_and_crack_lengths
         )
 
     @cached_property
-    def pair_bounds_and_crack_lengths(self) -> list[tuple[int, float]]:
+    def pair_count_bounds_and_crack_lengths(self) -> list[tuple[int, float]]:
         """Upper bound for contact pairs, and first crack's length [m], by geometry.
 
         A geometry is a structure shared by several cases. Both numbers are 0 if no case of the
@@ -194,26 +196,32 @@ class Plan:
         files read.
         """
         pair_bound_by_mesh: dict[Any, int] = {}
-        bounds_and_lengths: list[tuple[int, float]] = []
-        for chunk_case_numbers in self.chunk_case_numbers_by_geometry:
+        pair_count_bounds_and_lengths: list[tuple[int, float]] = []
+        for case_numbers_of_chunks in self.chunk_case_numbers_by_geometry:
             scenes_and_reasons = map(
-                self._scene_or_reason_by_number, itertools.chain(*chunk_case_numbers)
+                self._scene_or_reason_by_number, itertools.chain(*case_numbers_of_chunks)
             )
             scene = next(
                 (scene for scene in scenes_and_reasons if not isinstance(scene, str)), None
             )
             if scene is None:
-                bounds_and_lengths.append((0, 0.0))
+                pair_count_bounds_and_lengths.append((0, 0.0))
                 continue
-            pair_kind = scene.contact and scene.contact.pairs
+            contact_pair_kind = scene.contact and scene.contact.pairs
             cracks = tuple(replace(crack, clearance=0.0) for crack in scene.crack_by_name.values())
-            mesh_dependencies = scene.structure, scene.mesh, pair_kind, cracks, scene.geometry
+            mesh_dependencies = (
+                scene.structure,
+                scene.mesh,
+                contact_pair_kind,
+                cracks,
+                scene.geometry,
+            )
             if mesh_dependencies not in pair_bound_by_mesh:
                 pair_bound_by_mesh[mesh_dependencies] = _find_pair_upper_bound(scene)
-            bounds_and_lengths.append(
+            pair_count_bounds_and_lengths.append(
                 (pair_bound_by_mesh[mesh_dependencies], cracks[0].length or 0.0 if cracks else 0.0)
             )
-        return bounds_and_lengths
+        return pair_count_bounds_and_lengths
 
     def scene_or_reason_at(self, index: Sequence[int]) -> Scene | str:
         """Return a case's scene, or why its values make no valid scene.
@@ -283,8 +291,12 @@ def _find_keys_sharing_geometry(scene: Scene, swept_keys: Collection[str]) -> se
     geometry_independent_keys = GEOMETRY_INDEPENDENT_KEYS | {
         swept_key for swept_key in swept_keys if re.fullmatch(r"crack.*\.clearance", swept_key)
     }
-    has_harmonics = bool(scene.excitation.harmonics) or scene.excitation.wave is not None
-    has_unscaled_load = scene.has_other_loads or scene.rotation is not None or has_harmonics
+    has_load_harmonics_or_wave = (
+        bool(scene.excitation.harmonics) or scene.excitation.wave is not None
+    )
+    has_unscaled_load = (
+        scene.has_other_loads or scene.rotation is not None or has_load_harmonics_or_wave
+    )
     if has_unscaled_load or any(
         swept_key.startswith(("base.", "loads.", "rotation.")) for swept_key in swept_keys
     ):

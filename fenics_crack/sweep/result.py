@@ -49,7 +49,7 @@ from fenics_crack.basics.observables import (
 )
 from fenics_crack.basics.progress import add_progress_text
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.suggestions import check_calls, with_old_names
+from fenics_crack.basics.suggestions import check_calls, keep_old_attribute_names
 from fenics_crack.basics.tables import (
     Conclusion,
     Tabular,
@@ -146,22 +146,26 @@ def run_sweep(
     if sweep_table.at_resonance and not can_seek_resonance(scene):
         raise InputError("sweep.at_resonance", True, f"false {SCENES_WITHOUT_PEAK_DESCRIPTION}")
     last_axis_length = sweep_table.shape[-1]
-    if wrong_positions := [
-        position for position in natural if position not in range(last_axis_length)
+    if positions_outside_last_axis := [
+        last_axis_position
+        for last_axis_position in natural
+        if last_axis_position not in range(last_axis_length)
     ]:
         raise InputError(
             "natural",
-            wrong_positions,
+            positions_outside_last_axis,
             f"numbers of values of the last axis, from 0 to {last_axis_length - 1}",
         )
-    managers: list[Manager] = []
+    managers_on_root: list[Manager] = []
 
     def make_manager_and_case_options() -> SharedCaseOptions:
         """Open the file and append the sweep's manager to managers; return the case options."""
         plan = Plan(scene)
         option_by_name = {"verdicts": verdicts, "judged": judged}
         omitted_options = [name for name, is_wanted in option_by_name.items() if not is_wanted]
-        omitted_options += [f"vibration_{position}" for position in sorted(natural)]
+        omitted_options += [
+            f"vibration_{last_axis_position}" for last_axis_position in sorted(natural)
+        ]
         file_path = Path(path or make_folder_until_exit() / "sweep.h5")
         sweep_file = SweepFile(
             file_path,
@@ -170,30 +174,30 @@ def run_sweep(
             plan.n_gap_rows_upper_bound,
             omitted_options,
         )
-        managers.append(Manager(plan, sweep_file, comm.size, progress=progress))
+        managers_on_root.append(Manager(plan, sweep_file, comm.size, progress=progress))
         return SharedCaseOptions(
             plan.has_unit_loads,
-            ends_at_large_structure=not plan.sweeps_reduction_method,
+            stops_sweep_if_structure_too_large=not plan.is_reduction_method_swept,
             at_resonance=sweep_table.at_resonance,
             assesses_stability=verdicts,
             estimates_reduction_error=judged,
-            has_only_frequencies_by_position=tuple(
-                position in natural for position in range(last_axis_length)
+            frequencies_only_flags_of_last_axis=tuple(
+                last_axis_position in natural for last_axis_position in range(last_axis_length)
             ),
         )
 
     case_options = on_root(comm, make_manager_and_case_options)
-    worker = Worker(case_options, managers[0].plan if managers else Plan(scene))
-    job_comm = comm.Dup()
+    worker = Worker(case_options, managers_on_root[0].plan if managers_on_root else Plan(scene))
+    job_message_comm = comm.Dup()
     with StopRequest() as stop_request:
-        if managers:
-            with add_progress_text(managers[0].progress_text):
-                managers[0].run(worker, job_comm, stop_request)
+        if managers_on_root:
+            with add_progress_text(managers_on_root[0].progress_text):
+                managers_on_root[0].run(worker, job_message_comm, stop_request)
         else:
-            serve_jobs(worker, job_comm)
+            serve_jobs(worker, job_message_comm)
     worker.release_geometry(is_stopped=stop_request.is_requested(comm))
-    job_comm.Free()
-    return on_root(comm, lambda: SweepResult.from_stored_file(managers[0].sweep_header))
+    job_message_comm.Free()
+    return on_root(comm, lambda: SweepResult.from_stored_file(managers_on_root[0].sweep_header))
 
 
 def can_seek_resonance(scene: Scene) -> bool:
@@ -210,10 +214,11 @@ VERDICTS_NOT_STABLE = "unstable", "irregular", "undecided"
 """Verdicts on stability with which a solution may not appear in reality."""
 
 
-@with_old_names(
+@keep_old_attribute_names(
     failed="failed_indices_and_reasons", undecided="undecided_indices_and_reasons",
-    contradicted="contradicted_indices_and_verdicts", errors="error_parts",
+    contradicted="cases_contradicted_by_more_modes", errors="error_parts",
 )  # fmt: skip
+@keep_old_attribute_names(contradicted_indices_and_verdicts="cases_contradicted_by_more_modes")
 @dataclass(frozen=True, repr=False)
 class SweepResult(Tabular):
     """Result of a sweep: a table of cases, read from a file.
@@ -361,7 +366,7 @@ class SweepResult(Tabular):
         ]
 
     @property
-    def contradicted_indices_and_verdicts(self) -> list[tuple[tuple[int, ...], str]]:
+    def cases_contradicted_by_more_modes(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and text for each case whose verdict changes with more modes.
 
         The index is the position on each sweep axis. The text has the verdict on stability by more
@@ -405,10 +410,14 @@ class SweepResult(Tabular):
             There is no such case, or it was not solved.
         """
         case_index = self._find_converged_index(index)
-        gap_rows = read_gap_and_force_coefficients(self.path, case_index)[0]
-        case = Plan(self.scene).scene_or_reason_at(case_index)
-        assert isinstance(case, Scene)
-        return gap_rows[:, : gap_rows.shape[1] // 2] if case.has_friction else gap_rows
+        gap_coefficients = read_gap_and_force_coefficients(self.path, case_index)[0]
+        case_scene = Plan(self.scene).scene_or_reason_at(case_index)
+        assert isinstance(case_scene, Scene)
+        return (
+            gap_coefficients[:, : gap_coefficients.shape[1] // 2]
+            if case_scene.has_friction
+            else gap_coefficients
+        )
 
     def solution(self, index: tuple[int, ...] | int) -> PeriodicSolution:
         """Return the solution of a converged case; its structure is built again.
@@ -426,22 +435,26 @@ class SweepResult(Tabular):
         case_index = self._find_converged_index(index)
         read_result_file_without_numbers(self.path).check_files(self.scene)
         plan = Plan(self.scene)
-        case = plan.scene_or_reason_at(case_index)
-        assert isinstance(case, Scene)
+        case_scene = plan.scene_or_reason_at(case_index)
+        assert isinstance(case_scene, Scene)
         crack_length = float(self["crack_length"][case_index])
-        if case.crack is not None and case.crack.first_omega is not None:
-            case = case.replace({"crack.length": crack_length, "crack.first_omega": None})
+        if case_scene.crack is not None and case_scene.crack.first_omega is not None:
+            case_scene = case_scene.replace(
+                {"crack.length": crack_length, "crack.first_omega": None}
+            )
         for geometry in iterate_geometries_with_more_modes(
-            case, SharedCaseOptions(plan.has_unit_loads)
+            case_scene, SharedCaseOptions(plan.has_unit_loads)
         ):
             try:
-                return self._restore_solution(geometry.structure_of_case(case), case, case_index)
+                return self._restore_solution(
+                    geometry.structure_of_case(case_scene), case_scene, case_index
+                )
             except InputError as error:  # the file's waves may be of other modes
                 last_error = error
         raise last_error
 
     def _restore_solution(
-        self, structure: Structure, case: Scene, case_index: tuple[int, ...]
+        self, structure: Structure, case_scene: Scene, case_index: tuple[int, ...]
     ) -> PeriodicSolution:
         """Return a case's stored solution in a structure that was built again.
 
@@ -451,20 +464,24 @@ class SweepResult(Tabular):
         ----------
         structure : Structure
             The case's structure, built again.
-        case : Scene
+        case_scene : Scene
             The case's scene.
         case_index : tuple of int
             The case's position on each sweep axis.
         """
         omega = float(self["omega"][case_index])
-        law = scene_contact_law(case, structure)
+        law = scene_contact_law(case_scene, structure)
         if law is None:
-            return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
+            return solve_linear(structure, omega, harmonics=case_scene.harmonic_balance.harmonics)
         law = slide_along_lines(structure, omega, law)
-        gap_rows, force_rows = read_gap_and_force_coefficients(self.path, case_index)
-        problem = Problem(structure, omega, law, len(gap_rows) // 2)
+        gap_coefficients, force_coefficients = read_gap_and_force_coefficients(
+            self.path, case_index
+        )
+        problem = Problem(structure, omega, law, len(gap_coefficients) // 2)
         # Without displacements: they follow from the forces.
-        wave = problem.wave_of(np.zeros((len(gap_rows), 0)), gap_rows, force_rows)
+        wave = problem.wave_of(
+            np.zeros((len(gap_coefficients), 0)), gap_coefficients, force_coefficients
+        )
         value_by_field = vars(wave) | {
             "status": str(self["status"][case_index]),
             "iterations": int(self["iterations"][case_index]),
@@ -513,7 +530,7 @@ class SweepResult(Tabular):
         The scene's key ``output.quantities`` chooses the columns. Without this key, the columns are
         those drawn by default.
         """
-        label_by_point, label_and_unit_by_column = self.scene.label_by_point_name, {}
+        label_by_point, label_and_unit_by_column = self.scene.label_by_displacement_name, {}
         for quantity_name in self.scene.quantities or observable_names(
             required_flags=IN_SWEEP_PICTURES
         ):
@@ -597,8 +614,8 @@ class SweepResult(Tabular):
         The command prints this sentence.
         """
         is_converged, clause_texts = self.converged, []
-        total_errors = self.error_parts.sum(axis=0)[is_converged]
-        cases_text = format_count(is_converged.size, "case")
+        total_error_of_converged_cases = self.error_parts.sum(axis=0)[is_converged]
+        case_count_text = format_count(is_converged.size, "case")
         if np.any(
             np.isfinite(
                 responses_nan_unless_converged := np.where(is_converged, self["response"], np.nan)
@@ -608,11 +625,15 @@ class SweepResult(Tabular):
                 int(np.nanargmax(responses_nan_unless_converged)),
                 responses_nan_unless_converged.shape,
             )
-            response_text = format_quantity(float(responses_nan_unless_converged[peak_index]), "m")
-            clause_texts.append(f"the largest response is {response_text} half peak-to-peak at ")
+            largest_response_text = format_quantity(
+                float(responses_nan_unless_converged[peak_index]), "m"
+            )
+            clause_texts.append(
+                f"the largest response is {largest_response_text} half peak-to-peak at "
+            )
             clause_texts[0] += describe_swept_values(self.axes, [*map(int, peak_index)])
-        largest_error = total_errors.max(initial=0.0)
-        n_unknown_errors = int(np.sum(total_errors >= ERROR_IF_UNKNOWN))
+        largest_error = total_error_of_converged_cases.max(initial=0.0)
+        n_unknown_errors = int(np.sum(total_error_of_converged_cases >= ERROR_IF_UNKNOWN))
         if not self.scene.harmonic_balance.error:
             clause_texts.append(
                 "errors and stability are not estimated (harmonic_balance.error = false)"
@@ -624,14 +645,14 @@ class SweepResult(Tabular):
             )
         verdict_names, verdict_counts = np.unique(self["verdict"][is_converged], return_counts=True)
         verdict_texts = [
-            f"{verdict_count} {verdict}"
-            for verdict_count, verdict in zip(verdict_counts, verdict_names, strict=True)
-            if verdict
+            f"{verdict_count} {verdict_name}"
+            for verdict_count, verdict_name in zip(verdict_counts, verdict_names, strict=True)
+            if verdict_name
         ]
         return Conclusion(
             "sweep complete"
             if is_converged.all()
-            else f"{is_converged.sum()} of {cases_text} converged",
+            else f"{is_converged.sum()} of {case_count_text} converged",
             ", ".join(clause_texts),
             f"it could not be estimated in {format_count(n_unknown_errors, 'case')}"
             if n_unknown_errors
@@ -655,9 +676,9 @@ class SweepResult(Tabular):
             [
                 axes_text,
                 *(
-                    f"{n_cases} {state_name}"
-                    for state_name, n_cases in state_names_and_case_counts
-                    if n_cases
+                    f"{n_cases_in_state} {state_name}"
+                    for state_name, n_cases_in_state in state_names_and_case_counts
+                    if n_cases_in_state
                 ),
             ]
         )

@@ -48,7 +48,7 @@ from fenics_crack.model.contact import (
     ActiveSetSolver,
     ContactLaw,
     FrictionContactSolver,
-    add_contact_rows,
+    add_pair_for_each_contact_force,
     check_law,
     contact_energy,
     friction_coefficient_of,
@@ -57,10 +57,14 @@ from fenics_crack.model.contact import (
     solve_complementarity,
     spring_compliances,
 )
-from fenics_crack.model.factor import Factor, weighted_sum
-from fenics_crack.model.modal import MODAL_COORDINATES_IN_CACHE, all_modes, is_small
-from fenics_crack.model.modes import damped_modes, find_largest_natural_omega, multiply_columns
-from fenics_crack.model.reduced import MASS_REMEDY, check_faces_have_mass
+from fenics_crack.model.factor import Factor, matrix_plus_weighted_matrix
+from fenics_crack.model.modal import N_MODAL_COORDINATES_IN_CPU_CACHE, all_modes, is_small
+from fenics_crack.model.modes import (
+    find_largest_natural_omega,
+    modes_with_modal_damping,
+    multiply_columns,
+)
+from fenics_crack.model.reduced import REMEDY_FOR_MASSLESS_CRACK_FACES, check_faces_have_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import MarchRequest, PeriodWindow, Scheme, TimeHistory, march
 
@@ -99,13 +103,13 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     --------
     >>> steps = fc.stable_steps_per_period(structure, 2000.0, contact)
     """
-    check_faces_have_mass(structure, MASS_REMEDY)
+    check_faces_have_mass(structure, REMEDY_FOR_MASSLESS_CRACK_FACES)
     check_omega(omega)
     check_law(structure, contact, allows_rigid=True)
     springs = _contact_stiffnesses(structure, contact)
-    structure_with_rows = add_contact_rows(contact, structure)
+    structure_with_contact_rows = add_pair_for_each_contact_force(contact, structure)
     if is_small(structure):
-        open_modes = all_modes(structure_with_rows)
+        open_modes = all_modes(structure_with_contact_rows)
         bonded_stiffness = (
             np.diag(open_modes.squares)
             + (open_modes.gaps_by_mode * springs) @ open_modes.gaps_by_mode.T
@@ -113,7 +117,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
         largest_omega = float(np.sqrt(np.linalg.eigvalsh(bonded_stiffness)[-1]))
     else:
         largest_omega = find_largest_natural_omega(
-            structure_with_rows.tied(springs) if np.any(springs) else structure
+            structure_with_contact_rows.tied(springs) if np.any(springs) else structure
         )
         collect_garbage(structure.comm)
     return int(np.floor(np.pi * largest_omega * (1.0 + 1e-6) / omega)) + 1
@@ -197,8 +201,8 @@ def integrate_central_difference(
     >>> history = fc.integrate_central_difference(
     ...     structure, 2000.0, contact, periods=2, steps_per_period=steps)
     """
-    arguments = structure, omega, contact, periods, steps_per_period
-    request = MarchRequest.from_call(integrate_central_difference, options, *arguments)
+    request_arguments = structure, omega, contact, periods, steps_per_period
+    request = MarchRequest.from_call(integrate_central_difference, options, *request_arguments)
     min_steps = stable_steps_per_period(structure, omega, contact)
     if steps_per_period < min_steps:
         allowed_text = f">= {min_steps}, as fewer steps make central differences unstable"
@@ -207,7 +211,7 @@ def integrate_central_difference(
     return march(request, (_ModalDifferences if has_kernel else _CentralDifferences)(request))
 
 
-class _EnergyAccount:
+class _CreatedEnergyAccount:
     """Sums over time: energy created by contact, and energy from load and initial state.
 
     Contact creates energy if a pair opens or closes between two steps. The work of a force at step
@@ -243,23 +247,25 @@ class _EnergyAccount:
             np.vstack(row_blocks) for row_blocks in zip(self._last_rows, period_arrays, strict=True)
         ]
         self._last_rows = [extended_array[-2:] for extended_array in extended_arrays]
-        extended_load, extended_gaps, extended_forces, displacement_at_load = extended_arrays
+        extended_load, extended_gaps, extended_contact_forces, displacement_at_load = (
+            extended_arrays
+        )
         if friction_of(self._request.contact) is not None:  # tangents create none
             n_pairs = self._request.structure.n_pairs
-            extended_gaps, extended_forces = (
+            extended_gaps, extended_contact_forces = (
                 extended_gaps[:, :n_pairs],
-                extended_forces[:, :n_pairs],
+                extended_contact_forces[:, :n_pairs],
             )
         self._created_energy -= 0.5 * float(
-            np.sum(extended_forces[1:-1] * (extended_gaps[2:] - extended_gaps[:-2]))
+            np.sum(extended_contact_forces[1:-1] * (extended_gaps[2:] - extended_gaps[:-2]))
         )
         if not self._request.is_rigid:
-            first_spring_energies, last_spring_energies = (
-                contact_energy(self._request.row_law, end_gaps)
-                for end_gaps in (extended_gaps[:2], extended_gaps[-2:])
+            first_spring_energies, spring_energies_at_period_end = (
+                contact_energy(self._request.row_law, gaps_at_either_end)
+                for gaps_at_either_end in (extended_gaps[:2], extended_gaps[-2:])
             )
             self._created_energy += 0.5 * float(
-                last_spring_energies.sum() - first_spring_energies.sum()
+                spring_energies_at_period_end.sum() - first_spring_energies.sum()
             )
         local_load_work = np.array(
             [
@@ -303,10 +309,12 @@ class _ModalDifferences(Scheme):
     name, remedy = SCHEME_NAME, MORE_STEPS_REMEDY
 
     def __init__(self, request: MarchRequest) -> None:
-        self._structure_with_rows = add_contact_rows(request.contact, request.structure)
+        self._structure_with_contact_rows = add_pair_for_each_contact_force(
+            request.contact, request.structure
+        )
         self._request, self._modes, dt = (
             request,
-            all_modes(self._structure_with_rows),
+            all_modes(self._structure_with_contact_rows),
             request.step_size,
         )
         modes, (n_modes, n_rows) = self._modes, self._modes.gaps_by_mode.shape
@@ -316,32 +324,32 @@ class _ModalDifferences(Scheme):
         if (mu := friction_coefficient_of(request.contact)) is not None:
             assert springs is not None
             self._friction_solver = FrictionContactSolver(np.diag(1.0 / springs), mu)
-            self._sticking_places = np.zeros(n_rows // 2)
+            self._sticking_tangential_gaps = np.zeros(n_rows // 2)
             pair_states = np.zeros(n_rows // 2, dtype=np.int8)
             friction_members = {
                 "friction_solver": self._friction_solver.handle,
-                "sticking_places": self._sticking_places,
+                "sticking_places": self._sticking_tangential_gaps,
                 "pair_states": pair_states,
             }
         self._modal_displacement, modal_velocity = (
-            modes.shapes_inverse @ physical_part for physical_part in request.start_state[:2]
+            modes.shapes_inverse @ start_state_part for start_state_part in request.start_state[:2]
         )
         initial_gap = self._end_gaps()
         if friction_members:
-            self._sticking_places[:] = (
+            self._sticking_tangential_gaps[:] = (
                 request.start_state[2] if request.start_state[2:] else initial_gap[n_rows // 2 :]
             )
         if request.is_rigid and np.any(initial_gap > 0.0):  # by the least change in the norm of M
             self._modal_displacement -= modes.gaps_by_mode @ solve_complementarity(
                 modes.gaps_by_mode.T @ modes.gaps_by_mode, initial_gap
             )
-        self._increment = dt * modal_velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(
-            modal_velocity
+        self._modal_displacement_increment = (
+            dt * modal_velocity - 0.5 * dt** 2 * self._acceleration_at_phase_zero(modal_velocity)
         )
         initial_energy = 0.5 * float(
             modes.squares @ self._modal_displacement**2 + modal_velocity @ modal_velocity
         )
-        self._energy_account = _EnergyAccount(request, initial_energy)
+        self._energy_account = _CreatedEnergyAccount(request, initial_energy)
         identity = np.ones(n_modes) if modes.damping.ndim == 1 else np.eye(n_modes)
         damped_mass = identity + 0.5 * dt * modes.damping
         inverse = 1.0 / damped_mass if damped_mass.ndim == 1 else np.linalg.inv(damped_mass)
@@ -355,7 +363,7 @@ class _ModalDifferences(Scheme):
         vibration_struct = Struct(
             "vibration", n_modes=n_modes, n_rows=n_rows, has_coupled_modes=modes.damping.ndim == 2,
             squared_frequencies=contiguous(modes.squares),
-            clearance=np.array(self._structure_with_rows.clearance, dtype=float),
+            clearance=np.array(self._structure_with_contact_rows.clearance, dtype=float),
             spring_stiffnesses=springs, gap_rows=contiguous(modes.gaps_by_mode.T),
             load_rows=contiguous(request.structure.force @ modes.shapes),
             load_basis=contiguous(request.load_basis), n_load_rows=len(request.structure.force),
@@ -369,7 +377,7 @@ class _ModalDifferences(Scheme):
                 ActiveSetSolver(modes.gaps_by_mode.T @ increment_per_force).handle
                 if request.is_rigid else None
             ),
-            displacements=self._modal_displacement, increment=self._increment,
+            displacements=self._modal_displacement, increment=self._modal_displacement_increment,
             is_closed=np.zeros(n_rows, bool),
         )  # fmt: skip
 
@@ -377,7 +385,7 @@ class _ModalDifferences(Scheme):
         """Return the gaps of the current modal displacement: (n_rows,) [m]."""
         return np.asarray(
             self._modal_displacement @ self._modes.gaps_by_mode
-            - self._structure_with_rows.clearance
+            - self._structure_with_contact_rows.clearance
         )
 
     def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
@@ -387,9 +395,9 @@ class _ModalDifferences(Scheme):
         displacement and velocity, P lambda modal contact forces. Under UnilateralConstraint lambda
         is 0 here: the next step finds the forces.
         """
-        modes, load_coefficients = self._modes, self._request.structure.force
+        modes, load_coefficients_of_dofs = self._modes, self._request.structure.force
         acceleration = (
-            load_coefficients[0] + load_coefficients[1::2].sum(axis=0)
+            load_coefficients_of_dofs[0] + load_coefficients_of_dofs[1::2].sum(axis=0)
         ) @ modes.shapes - modes.squares * self._modal_displacement
         if not self._request.is_rigid:
             acceleration -= modes.gaps_by_mode @ self._penalty_forces_of_rows(self._end_gaps())
@@ -398,45 +406,51 @@ class _ModalDifferences(Scheme):
     def _penalty_forces_of_rows(self, gap: np.ndarray) -> np.ndarray:
         """Return contact forces from gaps (n_rows,) [m] by the penalty law: (n_rows,) [N].
 
-        With friction pairs stick at ``_sticking_places``, unchanged by the call.
+        With friction pairs stick at ``_sticking_tangential_gaps``, unchanged by the call.
         """
         if friction_of(self._request.contact) is None:
             return self._request.row_law.force(gap)
-        return self._friction_solver.solve(gap[None], self._sticking_places)[0][0]
+        return self._friction_solver.solve(gap[None], self._sticking_tangential_gaps)[0][0]
 
     def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
         modes, request, n_window_steps = self._modes, self._request, len(window.gap)
-        n_steps_in_cache = max(1, MODAL_COORDINATES_IN_CACHE // len(modes.squares))
-        for first_step in range(0, n_window_steps, n_steps_in_cache):
-            step_slice = slice(first_step, min(first_step + n_steps_in_cache, n_window_steps))
-            modal_displacement = np.empty((step_slice.stop - first_step, len(modes.squares)))
+        n_steps_per_block = max(1, N_MODAL_COORDINATES_IN_CPU_CACHE // len(modes.squares))
+        for first_step_of_block in range(0, n_window_steps, n_steps_per_block):
+            step_block_slice = slice(
+                first_step_of_block, min(first_step_of_block + n_steps_per_block, n_window_steps)
+            )
+            modal_displacement = np.empty(
+                (step_block_slice.stop - first_step_of_block, len(modes.squares))
+            )
             n_steps_made = kernel.march_central(
-                self._kernel_struct.address, first_step, len(modal_displacement),
-                pointer(window.gap[step_slice]), pointer(window.force[step_slice]),
+                self._kernel_struct.address, first_step_of_block, len(modal_displacement),
+                pointer(window.gap[step_block_slice]), pointer(window.force[step_block_slice]),
                 pointer(modal_displacement),
             )  # fmt: skip
             if n_steps_made < len(modal_displacement):
                 raise ConvergenceError(
                     f"central differences: no contact forces were found at step"
-                    f" {first_step + n_steps_made}; {self.remedy}"
+                    f" {first_step_of_block + n_steps_made}; {self.remedy}"
                 )
-            window.recorded_displacement[step_slice] = (
+            window.recorded_displacement[step_block_slice] = (
                 modal_displacement @ modes.shapes[request.recorded_dofs].T
             )
-            window.displacement_at_load[step_slice] = (
+            window.displacement_at_load[step_block_slice] = (
                 modal_displacement @ modes.shapes[request.loaded_dofs].T
             )
         self.set_created_energy_ratio(*self._energy_account.add_period(window))
 
     def final_state_parts(self) -> tuple[np.ndarray, ...]:
         modal_velocity = _last_velocity(
-            self._request.step_size, self._increment, self._acceleration_at_phase_zero
+            self._request.step_size,
+            self._modal_displacement_increment,
+            self._acceleration_at_phase_zero,
         )
         has_friction = friction_of(self._request.contact) is not None
         return (
             self._modes.shapes @ self._modal_displacement,
             self._modes.shapes @ modal_velocity,
-            *((self._sticking_places.copy(),) if has_friction else ()),
+            *((self._sticking_tangential_gaps.copy(),) if has_friction else ()),
         )
 
 
@@ -462,20 +476,25 @@ class _CentralDifferences(Scheme):
         self._row_law = request.row_law
         self.contact_force = np.zeros(request.n_gap_rows)
         # Only few rows of B are not zero.
-        structure_with_rows = add_contact_rows(request.contact, structure)
-        self._contact_dofs = np.flatnonzero(np.diff(structure_with_rows.gap.indptr))
-        self._contact_dof_gap_matrix = structure_with_rows.gap[self._contact_dofs].toarray()
-        self._clearance = structure_with_rows.clearance
+        structure_with_contact_rows = add_pair_for_each_contact_force(request.contact, structure)
+        self._contact_dofs = np.flatnonzero(np.diff(structure_with_contact_rows.gap.indptr))
+        self._contact_dof_gap_matrix = structure_with_contact_rows.gap[self._contact_dofs].toarray()
+        self._clearance = structure_with_contact_rows.clearance
         if (mu := friction_coefficient_of(request.contact)) is not None:
             self._friction_solver = FrictionContactSolver(
                 np.diag(1.0 / _contact_stiffnesses(structure, request.contact)), mu
             )
         self._recorded_local_dofs = request.recorded_dofs - structure.first_dof
-        self._modes, self._damping_matrix = damped_modes(structure), structure.damping_matrix
+        self._modes, self._damping_matrix = (
+            modes_with_modal_damping(structure),
+            structure.damping_matrix,
+        )
         self._input_vector, self._output_vector = structure.mass.createVecs()
         damped_mass = structure.mass
         if self._damping_matrix is not None:
-            damped_mass = weighted_sum(structure.mass, 0.5 * dt, self._damping_matrix)
+            damped_mass = matrix_plus_weighted_matrix(
+                structure.mass, 0.5 * dt, self._damping_matrix
+            )
         # A C that was given need not be symmetric.
         is_symmetric = self._damping_matrix is None or isinstance(
             structure.damping, RayleighDamping
@@ -506,12 +525,12 @@ class _CentralDifferences(Scheme):
         self.displacement = self._nearest_admissible_displacement(displacement)
         if friction_of(self.contact) is not None:
             initial_tangential_gap = self._gap_of(displacement)[structure.n_pairs :]
-            self._sticking_places = (
+            self._sticking_tangential_gaps = (
                 request.start_state[2] if request.start_state[2:] else initial_tangential_gap
             )
         # The step before from u_{-1} = u - dt v + dt^2 a / 2.
         self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(velocity)
-        self._energy_account = _EnergyAccount(request, self._linear_energy(velocity))
+        self._energy_account = _CreatedEnergyAccount(request, self._linear_energy(velocity))
 
     def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
         for step_index in range(len(window.gap)):
@@ -528,7 +547,7 @@ class _CentralDifferences(Scheme):
         return (
             self.displacement.copy(),
             velocity,
-            *((self._sticking_places.copy(),) if has_friction else ()),
+            *((self._sticking_tangential_gaps.copy(),) if has_friction else ()),
         )
 
     def advance(self, step_index: int) -> None:
@@ -572,9 +591,9 @@ class _CentralDifferences(Scheme):
         if friction_of(self.contact) is None:
             return self._row_law.force(gap)
         forces, _, sticking_places, _ = self._friction_solver.solve(
-            gap[None], self._sticking_places
+            gap[None], self._sticking_tangential_gaps
         )
-        self._sticking_places = sticking_places[0]
+        self._sticking_tangential_gaps = sticking_places[0]
         return forces[0]
 
     def _gap_change(self, displacement: np.ndarray) -> np.ndarray:

@@ -51,7 +51,12 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.model.modes import multiply_columns
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import Flow, as_doubles, check_has_exact_flow, exact_flow_or_error
+from fenics_crack.motion.flow import (
+    ModalFlow,
+    as_doubles,
+    check_has_exact_flow,
+    exact_flow_or_error,
+)
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from_complex, to_complex
 from fenics_crack.time.march import MarchRequest, PeriodWindow, Scheme, TimeHistory, march
 
@@ -114,8 +119,8 @@ def integrate_events(
     --------
     >>> history = fc.integrate_events(structure, 2000.0, contact, periods=2, initial=solution)
     """
-    arguments = structure, omega, contact, periods, steps_per_period
-    request = MarchRequest.from_call(integrate_events, options, *arguments)
+    request_arguments = structure, omega, contact, periods, steps_per_period
+    request = MarchRequest.from_call(integrate_events, options, *request_arguments)
     return march(request, _EventScheme(request))
 
 
@@ -178,28 +183,28 @@ def integrate_exponential(
     --------
     >>> history = fc.integrate_exponential(structure, 2000.0, contact, periods=2)
     """
-    arguments = structure, omega, contact, periods, steps_per_period
-    request = MarchRequest.from_call(integrate_exponential, options, *arguments)
+    request_arguments = structure, omega, contact, periods, steps_per_period
+    request = MarchRequest.from_call(integrate_exponential, options, *request_arguments)
     return march(request, _ExponentialScheme(request))
 
 
 # --- the schemes ----------------------------------------------------------------------------------
 
 
-def _loaded_coordinate_scales(request: MarchRequest) -> np.ndarray:
+def _comparison_weights_of_loaded_dofs(request: MarchRequest) -> np.ndarray:
     """Return a factor for each loaded coordinate: (n_loaded,).
 
     A coordinate times its factor is compared from period to period. With massless crack faces the
     coordinates are modal. The factor is then the norm of the coordinate's load coefficients. For
     displacements the factor is 1.
     """
-    if not request.structure.light_lips:
+    if not request.structure.has_massless_crack_faces:
         return np.ones(len(request.loaded_dofs))
     return np.asarray(np.linalg.norm(request.structure.force[:, request.loaded_dofs], axis=0))
 
 
 def _displacement_and_velocity(
-    flow: Flow, displacement: np.ndarray, state: np.ndarray
+    flow: ModalFlow, displacement: np.ndarray, state: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """Return copies of the displacement [m] and the velocity [m/s], (n_dofs,) each.
 
@@ -209,8 +214,8 @@ def _displacement_and_velocity(
     """
     _, modal_velocity, sticking_places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
     velocity = flow.modal_model.shapes @ modal_velocity
-    friction_part = (sticking_places.copy(),) if flow.friction_law else ()
-    return displacement.copy(), velocity, *friction_part
+    optional_sticking_places = (sticking_places.copy(),) if flow.friction_law else ()
+    return displacement.copy(), velocity, *optional_sticking_places
 
 
 class _EventScheme(Scheme):
@@ -233,18 +238,18 @@ class _EventScheme(Scheme):
         self._state, sampled_motion = period_motion.state, period_motion.samples
         displacement_samples = sampled_motion.displacement
         self._end_displacement = displacement_samples[-1]
-        window.gap[:] = sampled_motion.row_gaps[:-1]
-        window.force[:] = sampled_motion.row_forces[:-1]
+        window.gap[:] = sampled_motion.contact_row_gaps[:-1]
+        window.force[:] = sampled_motion.contact_row_forces[:-1]
         window.recorded_displacement[:] = displacement_samples[:-1, request.recorded_dofs]
         window.displacement_at_load[:] = displacement_samples[
             :-1, request.loaded_dofs
-        ] * _loaded_coordinate_scales(request)
+        ] * _comparison_weights_of_loaded_dofs(request)
 
     def final_state_parts(self) -> tuple[np.ndarray, ...]:
         return _displacement_and_velocity(self._flow, self._end_displacement, self._state)
 
 
-class ExponentialFlow(Flow):
+class ExponentialFlow(ModalFlow):
     """Advance a structure's motion by equal exponential steps at one load frequency.
 
     Attributes
@@ -276,8 +281,8 @@ class ExponentialFlow(Flow):
         )
         modes, (n_modes, n_rows) = self.modal_model, self.modal_model.gaps_by_mode.shape
         transition_by_step, force_response = modes.transition_and_force_response(self.step_size)
-        halved_force_response = 0.5 * force_response  # Gamma
-        gap_response = modes.gaps_by_mode.T @ halved_force_response[:n_modes]
+        half_of_response_to_unit_force = 0.5 * force_response  # Gamma
+        gap_response = modes.gaps_by_mode.T @ half_of_response_to_unit_force[:n_modes]
         self.state_to_gap_matrix = np.hstack([modes.gaps_by_mode.T, np.zeros((n_rows, n_modes))])
         enumerated_loads = enumerate(to_complex(self.modal_load))
         response_harmonics = [
@@ -292,7 +297,7 @@ class ExponentialFlow(Flow):
             [displacement_coefficients, differentiate(displacement_coefficients, omega)]
         )
         self.linear_gap = basis_at_instants @ (
-            displacement_coefficients @ modes.gaps_by_mode + self.load_gap
+            displacement_coefficients @ modes.gaps_by_mode + self.massless_load_gap_less_clearance
         )
         step_compliance = self.compliance + gap_response
         contact_struct_members: dict[str, Any]
@@ -300,20 +305,20 @@ class ExponentialFlow(Flow):
             self._initial_contact_solver = ActiveSetSolver(self.compliance)
             contact_struct_members = {"contact_solver": ActiveSetSolver(step_compliance).handle}
         else:
-            self._initial_friction_solver = FrictionContactSolver(
+            self._friction_solver_at_first_instant = FrictionContactSolver(
                 self.compliance, friction_coefficient
             )
-            self._sticking_places = np.empty(n_rows // 2)
+            self._sticking_tangential_gaps = np.empty(n_rows // 2)
             self._friction_solver = FrictionContactSolver(step_compliance, friction_coefficient)
             contact_struct_members = {
                 "friction_solver": self._friction_solver.handle,
-                "sticking_places": self._sticking_places,
+                "sticking_places": self._sticking_tangential_gaps,
             }
         self._kernel_struct = Struct(
             "exponential", n_modes=n_modes, n_rows=n_rows, n_instants=steps_per_period,
             has_coupled_modes=modes.damping.ndim == 2, transition=transition_by_step,
             gap_rows=as_doubles(modes.gaps_by_mode.T),
-            force_response=as_doubles(halved_force_response.T),
+            force_response=as_doubles(half_of_response_to_unit_force.T),
             gap_response=as_doubles(gap_response),
             steady_gap=self.linear_gap, steady_states=self.steady_states,
             work=np.empty(4 * n_modes + 2 * n_rows),
@@ -332,7 +337,7 @@ class ExponentialFlow(Flow):
         phases = 2.0 * np.pi * np.arange(len(states)) / self.steps_per_period
         return self.displacement(states, force, phases, dofs)
 
-    def advance(self, state: np.ndarray, periods: int = 1) -> ExponentialSteps:
+    def advance(self, state: np.ndarray, periods: int = 1) -> ExponentialMotion:
         """Integrate whole load periods from a state at the load's phase 0.
 
         ``state`` (state_size,) has modal displacements, modal velocities and, with friction, the
@@ -356,9 +361,9 @@ class ExponentialFlow(Flow):
         )
         if self.friction_law:
             contact_forces[:1], pair_states[:1], new_sticking_places, _ = (
-                self._initial_friction_solver.solve(initial_gap[None], sticking_places)
+                self._friction_solver_at_first_instant.solve(initial_gap[None], sticking_places)
             )
-            self._sticking_places[:] = new_sticking_places[0]
+            self._sticking_tangential_gaps[:] = new_sticking_places[0]
         else:
             contact_forces[:1], pair_states[:1] = self._initial_contact_solver.solve(
                 initial_gap[None]
@@ -372,8 +377,10 @@ class ExponentialFlow(Flow):
                 f"exponential: no contact forces were found at step {n_steps_made + 1}; "
                 f"{EXPONENTIAL_REMEDY}"
             )
-        sticking_places = self._sticking_places.copy() if self.friction_law else sticking_places
-        return ExponentialSteps(
+        sticking_places = (
+            self._sticking_tangential_gaps.copy() if self.friction_law else sticking_places
+        )
+        return ExponentialMotion(
             self,
             modal_states,
             contact_forces,
@@ -383,7 +390,7 @@ class ExponentialFlow(Flow):
 
 
 @dataclass(frozen=True)
-class ExponentialSteps:
+class ExponentialMotion:
     """States and contact forces at the N + 1 instants of integrated load periods.
 
     Attributes
@@ -392,7 +399,7 @@ class ExponentialSteps:
         Flow that made the steps; it has the step length.
     states : (N + 1, 2 n_modes)
         Modal displacements and velocities, both ends included.
-    forces : (N + 1, n_rows) [N]
+    contact_forces_at_instants : (N + 1, n_rows) [N]
         Contact forces; with friction the tangential ones are the second half.
     is_closed : (N + 1, flow.n_normal_rows) bool
         True if a row is in contact.
@@ -402,7 +409,7 @@ class ExponentialSteps:
 
     flow: ExponentialFlow
     states: np.ndarray
-    forces: np.ndarray
+    contact_forces_at_instants: np.ndarray
     is_closed: np.ndarray
     end_state: np.ndarray
 
@@ -410,14 +417,14 @@ class ExponentialSteps:
     def gaps(self) -> np.ndarray:
         """Gaps at all instants, g > 0 if crack faces penetrate: (N + 1, n_rows) [m]."""
         flow = self.flow
-        instant_indices = np.arange(len(self.states)) % flow.steps_per_period
+        instant_indices_in_period = np.arange(len(self.states)) % flow.steps_per_period
         transient_gap = (
-            self.states - flow.steady_states[instant_indices]
+            self.states - flow.steady_states[instant_indices_in_period]
         ) @ flow.state_to_gap_matrix.T
         return np.asarray(
             transient_gap
-            + flow.linear_gap[instant_indices]
-            - self.forces @ flow.residual_flexibility
+            + flow.linear_gap[instant_indices_in_period]
+            - self.contact_forces_at_instants @ flow.residual_flexibility
         )
 
     @property
@@ -430,7 +437,7 @@ class ExponentialSteps:
         flow, n_pairs = self.flow, self.flow.structure.n_pairs
         if not flow.friction_law:
             return 0.0
-        friction_force = self.forces[:, n_pairs:]
+        friction_force = self.contact_forces_at_instants[:, n_pairs:]
         sticking_places = self.gaps[:, n_pairs:] - flow.softness[n_pairs:] * friction_force
         return float(
             np.sum(
@@ -459,52 +466,56 @@ class _ExponentialScheme(Scheme):
 
     def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
         flow, request = self._flow, self._request
-        flow_steps = flow.advance(self._state)
-        states, forces = flow_steps.states, flow_steps.forces
-        window.gap[:], window.force[:] = flow_steps.gaps[:-1], forces[:-1]
+        exponential_motion = flow.advance(self._state)
+        states, forces = exponential_motion.states, exponential_motion.contact_forces_at_instants
+        window.gap[:], window.force[:] = exponential_motion.gaps[:-1], forces[:-1]
         window.recorded_displacement[:] = flow.displacement_from_phase_zero(
             states[:-1], forces[:-1], request.recorded_dofs
         )
         displacement_at_load = flow.displacement_from_phase_zero(
             states, forces, request.loaded_dofs
         )
-        window.displacement_at_load[:] = displacement_at_load[:-1] * _loaded_coordinate_scales(
-            request
-        )
+        window.displacement_at_load[:] = displacement_at_load[
+            :-1
+        ] * _comparison_weights_of_loaded_dofs(request)
         if period_number == 0:
-            self._energy_input = self._total_energy(flow_steps, 0)
+            self._energy_input = self._total_energy(exponential_motion, 0)
             self._losses_less_energy_input = -self._energy_input
         modal_velocity = states[:, len(flow.modal_model.squares) :]
-        damping_power = np.einsum(
+        power_lost_to_damping = np.einsum(
             "nj,nj->n", flow.modal_model.damping_force(modal_velocity), modal_velocity
         )
         load_work = float(np.sum(self._mean_load_over_step * np.diff(displacement_at_load, axis=0)))
         self._energy_input += abs(load_work)
         self._losses_less_energy_input += flow.step_size * float(
-            np.sum(0.5 * (damping_power[1:] + damping_power[:-1]))
+            np.sum(0.5 * (power_lost_to_damping[1:] + power_lost_to_damping[:-1]))
         )
-        self._losses_less_energy_input += flow_steps.friction_loss - load_work
+        self._losses_less_energy_input += exponential_motion.friction_loss - load_work
         self.set_created_energy_ratio(
-            self._total_energy(flow_steps, -1) + self._losses_less_energy_input, self._energy_input
+            self._total_energy(exponential_motion, -1) + self._losses_less_energy_input,
+            self._energy_input,
         )
-        self._state = flow_steps.end_state
+        self._state = exponential_motion.end_state
         self._end_displacement = flow.displacement_from_phase_zero(states[-1:], forces[-1:])[0]
 
-    def _total_energy(self, flow_steps: ExponentialSteps, instant_index: int) -> float:
+    def _total_energy(self, exponential_motion: ExponentialMotion, instant_index: int) -> float:
         """Return kinetic plus elastic plus contact spring energy at an instant [J].
 
-        ``instant_index`` counts the instants in ``flow_steps``; -1 is the last.
+        ``instant_index`` counts the instants in ``exponential_motion``; -1 is the last.
         """
         flow = self._flow
         displacement_at_instant = flow.displacement_from_phase_zero(
-            flow_steps.states[[instant_index]], flow_steps.forces[[instant_index]]
+            exponential_motion.states[[instant_index]],
+            exponential_motion.contact_forces_at_instants[[instant_index]],
         )[0]
         doubled_elastic_energy = (
             displacement_at_instant
             @ multiply_columns(flow.structure.stiffness, displacement_at_instant[:, None])[:, 0]
         )
-        modal_velocity = flow_steps.states[instant_index, len(flow.modal_model.squares) :]
-        doubled_spring_energy = np.sum(flow.softness * flow_steps.forces[instant_index] ** 2)
+        modal_velocity = exponential_motion.states[instant_index, len(flow.modal_model.squares) :]
+        doubled_spring_energy = np.sum(
+            flow.softness * exponential_motion.contact_forces_at_instants[instant_index] ** 2
+        )
         return 0.5 * float(
             doubled_elastic_energy + modal_velocity @ modal_velocity + doubled_spring_energy
         )

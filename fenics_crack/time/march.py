@@ -16,7 +16,7 @@ import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
-    N_RECORDED_PERIODS,
+    N_RECORDED_PERIODS_OF_INTEGRATION,
     ConvergenceError,
     InputError,
     check_count,
@@ -25,7 +25,7 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.progress import add_progress_text, begin_stage
 from fenics_crack.basics.ranks import StopRequest, raise_first_error
-from fenics_crack.basics.suggestions import check_options
+from fenics_crack.basics.suggestions import check_options, keep_old_attribute_names
 from fenics_crack.basics.tables import Tabular, format_count
 from fenics_crack.model.contact import (
     ContactLaw,
@@ -35,12 +35,12 @@ from fenics_crack.model.contact import (
     friction_of,
     is_rigid,
     law_of_rows,
-    merge_rows_of_pairs,
+    merge_layers_of_pairs,
 )
-from fenics_crack.model.matrices import floats_or_nan
-from fenics_crack.model.modes import NEGLIGIBLE
+from fenics_crack.model.matrices import floats_or_single_nan
+from fenics_crack.model.modes import STIFFNESS_SOLUTION_ROUNDING
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.motions import ObservedMotion, Record
+from fenics_crack.motion.motions import MotionRecord, ObservedMotion
 from fenics_crack.numerics.fourier import (
     differentiate,
     evaluate_series,
@@ -134,9 +134,11 @@ class MarchRequest:
         further keywords given to ``function``. An unknown keyword is an InputError with the allowed
         names.
         """
-        parameters = signature(function).parameters.values()
+        signature_parameters = signature(function).parameters.values()
         option_names = [
-            parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY
+            signature_parameter.name
+            for signature_parameter in signature_parameters
+            if signature_parameter.kind is signature_parameter.KEYWORD_ONLY
         ]
         option_names += [field.name for field in fields(cls) if field.default is not MISSING]
         check_options(function.__name__, options, option_names)
@@ -166,12 +168,12 @@ class MarchRequest:
         """Global dofs recorded by this rank; all coordinates if the structure is reduced."""
         first_dof = self.structure.first_dof
         end_dof = first_dof + self.structure.n_local
-        own_dofs, whole_structure = np.arange(first_dof, end_dof), self.structure.whole
+        dofs_of_this_rank, whole_structure = np.arange(first_dof, end_dof), self.structure.whole
         if self.dofs is None:
-            return own_dofs
+            return dofs_of_this_rank
         requested_dofs = whole_structure.as_dof_numbers(self.dofs)
         if whole_structure is not self.structure:
-            return own_dofs
+            return dofs_of_this_rank
         return requested_dofs[(requested_dofs >= first_dof) & (requested_dofs < end_dof)]
 
     @cached_property
@@ -209,6 +211,7 @@ class MarchRequest:
         return is_rigid(self.contact)
 
 
+@keep_old_attribute_names(distance="distance_to_steady_motion")
 @dataclass(frozen=True, repr=False)
 class TimeHistory(ObservedMotion, Tabular):
     """Result of a direct time integration: the last load periods of the motion.
@@ -296,7 +299,7 @@ class TimeHistory(ObservedMotion, Tabular):
         return values.reshape(n_periods, self.steps_per_period, *values.shape[1:])
 
     @property
-    def distance(self) -> float:
+    def distance_to_steady_motion(self) -> float:
         """Estimate the relative distance from the last period to the steady motion (collective).
 
         Distances in the gaps and, if recorded, in the watched displacement are relative to the
@@ -306,32 +309,33 @@ class TimeHistory(ObservedMotion, Tabular):
         multipliers still decay (minimal polynomial extrapolation; Sidi, Vector Extrapolation
         Methods, chapter 2).
         """
-        watched_arrays = [
-            watched_array[-N_RECORDED_PERIODS:] for watched_array in self._watched_periods
+        last_periods_of_watched_arrays = [
+            watched_array[-N_RECORDED_PERIODS_OF_INTEGRATION:]
+            for watched_array in self._watched_arrays_by_period
         ]
-        n_periods = len(watched_arrays[0])
+        n_periods = len(last_periods_of_watched_arrays[0])
         if n_periods < 3:
             return math.nan
         moving_part_sizes = _moving_part_sizes(
-            [watched_array[-1] for watched_array in watched_arrays]
+            [watched_array[-1] for watched_array in last_periods_of_watched_arrays]
         )
         scaled_arrays = [
             watched_array.reshape(n_periods, -1) / moving_part_size
             for watched_array, moving_part_size in zip(
-                watched_arrays, moving_part_sizes, strict=True
+                last_periods_of_watched_arrays, moving_part_sizes, strict=True
             )
         ]
         scaled_changes = np.diff(np.hstack(scaled_arrays), axis=0)
         extrapolation_weights = np.append(
             np.linalg.lstsq(scaled_changes[:-1].T, -scaled_changes[-1], rcond=None)[0], 1.0
         )
-        weighted_differences = [
+        weighted_period_differences = [
             np.tensordot(extrapolation_weights, scaled_array[:-1] - scaled_array[-1], 1)
             for scaled_array in scaled_arrays
         ]
         largest_difference_norm = max(
-            float(np.linalg.norm(weighted_difference))
-            for weighted_difference in weighted_differences
+            float(np.linalg.norm(weighted_period_difference))
+            for weighted_period_difference in weighted_period_differences
         )
         weight_sum = abs(float(extrapolation_weights.sum()))
         return largest_difference_norm / weight_sum if weight_sum > 0.0 else math.inf
@@ -348,7 +352,7 @@ class TimeHistory(ObservedMotion, Tabular):
             ``periods`` is not smaller than the number of recorded periods.
         """
         check_count("periods", periods, 1)
-        watched_period_arrays = self._watched_periods
+        watched_period_arrays = self._watched_arrays_by_period
         if periods >= len(watched_period_arrays[0]):
             raise InputError(
                 "periods",
@@ -362,7 +366,7 @@ class TimeHistory(ObservedMotion, Tabular):
         )
 
     @property
-    def _watched_periods(self) -> list[np.ndarray]:
+    def _watched_arrays_by_period(self) -> list[np.ndarray]:
         """Gaps plus clearance (g + g_0), and the watched displacement if recorded (collective).
 
         Each array is (n_periods, steps_per_period, n_columns) [m].
@@ -399,7 +403,7 @@ class TimeHistory(ObservedMotion, Tabular):
             self.recorded @ (selection_matrix / recording_rank_counts)
         )
 
-    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
+    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[MotionRecord]:
         """Yield a single :class:`Record`: observed displacements, gaps and forces (collective).
 
         An observed displacement is a row in ``rows`` (m, n_local) times the displacement
@@ -412,7 +416,7 @@ class TimeHistory(ObservedMotion, Tabular):
             The rows need a dof that was not recorded.
         """
         structure = self.structure
-        recorded_local_dofs, first_column_indices = np.unique(
+        recorded_local_dofs, column_of_each_recorded_dof = np.unique(
             self.recorded_dofs - structure.first_dof, return_index=True
         )
         if any(
@@ -421,19 +425,25 @@ class TimeHistory(ObservedMotion, Tabular):
             allowed_text = "None, to record all displacements; integrate again"
             raise InputError("dofs", "some", allowed_text)
         row_products = structure.sum_over_ranks(
-            self.recorded[:, first_column_indices] @ rows[:, recorded_local_dofs].T
+            self.recorded[:, column_of_each_recorded_dof] @ rows[:, recorded_local_dofs].T
         )
-        n_steps, row_gaps, row_forces = (self.steps_per_period, self.gap, self.contact_force)
+        steps_per_period, row_gaps, row_forces = (
+            self.steps_per_period,
+            self.gap,
+            self.contact_force,
+        )
         if self.tangential_gap is not None and self.tangential_force is not None:
             row_gaps = np.hstack([row_gaps, self.tangential_gap])
             row_forces = np.hstack([row_forces, self.tangential_force])
-        yield Record(
-            2.0 * np.pi * (len(self.time) - 1) / n_steps / np.ptp(self.time), 1, self.time,
-            fourier_coefficients(row_products[-n_steps:], min(10, (n_steps - 1) // 2)),
+        yield MotionRecord(
+            2.0 * np.pi * (len(self.time) - 1) / steps_per_period / np.ptp(self.time), 1, self.time,
+            fourier_coefficients(
+                row_products[-steps_per_period:], min(10, (steps_per_period - 1) // 2)
+            ),
             row_products, row_gaps, row_forces,
             structure=structure,
             friction_coefficient=self.friction,
-            instants_per_load_period=n_steps,
+            instants_per_load_period=steps_per_period,
         )  # fmt: skip
 
 
@@ -442,7 +452,7 @@ class PeriodWindow(NamedTuple):
 
     :meth:`Scheme.integrate_and_fill_period` writes them. Rows are the instants. ``gap`` [m] and
     contact ``force`` [N] are (N, n_rows), with a column for each contact row
-    (:func:`fenics_crack.model.contact.add_contact_rows`).
+    (:func:`fenics_crack.model.contact.add_pair_for_each_contact_force`).
     """
 
     gap: np.ndarray
@@ -490,8 +500,10 @@ class Scheme(ABC):
             self.created_energy_ratio = created_energy / energy_input
         if not np.isfinite(created_energy) or created_energy > 2.0 * energy_input > 0.0:
             amount_text = f"{self.created_energy_ratio:.3g} times the energy that the load puts in"
-            reason_text = f"{self.name}: the steps are too long for this contact, which creates"
-            raise ConvergenceError(f"{reason_text} {amount_text}; {self.remedy}")
+            too_long_steps_text = (
+                f"{self.name}: the steps are too long for this contact, which creates"
+            )
+            raise ConvergenceError(f"{too_long_steps_text} {amount_text}; {self.remedy}")
 
 
 def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
@@ -501,13 +513,15 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
     Ctrl-C. The scheme's PETSc objects are freed.
     """
     structure, n_kept_periods = request.structure, request.n_kept_periods
-    n_steps = request.steps_per_period
+    steps_per_period = request.steps_per_period
     column_counts = request.n_gap_rows, request.n_gap_rows, len(request.recorded_dofs)
-    kept_arrays: list[np.ndarray] = [np.empty((n_kept_periods * n_steps, n)) for n in column_counts]
-    gap, force, recorded_displacement = kept_arrays
-    displacement_at_load = np.empty((n_steps, len(request.loaded_dofs)))
-    n_periods, relative_change = 0, np.inf
-    previous_arrays: tuple[np.ndarray, np.ndarray] | None = None
+    kept_history_arrays: list[np.ndarray] = [
+        np.empty((n_kept_periods * steps_per_period, n_columns)) for n_columns in column_counts
+    ]
+    gap, contact_force, recorded_displacement_history = kept_history_arrays
+    displacement_at_load = np.empty((steps_per_period, len(request.loaded_dofs)))
+    n_integrated_periods, relative_change = 0, np.inf
+    previous_period_arrays: tuple[np.ndarray, np.ndarray] | None = None
     is_hidden = not request.progress or structure.comm.rank != 0
     if not is_hidden:
         begin_stage("")
@@ -516,57 +530,73 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
     start_seconds = clock.perf_counter()
     with (
         StopRequest() as stop_request,
-        add_progress_text(lambda: f"{n_periods} of {request.periods} periods"),
+        add_progress_text(lambda: f"{n_integrated_periods} of {request.periods} periods"),
     ):
-        for period in tqdm(range(request.periods), scheme.name, unit="period", disable=is_hidden):
+        for period_index in tqdm(
+            range(request.periods), scheme.name, unit="period", disable=is_hidden
+        ):
             period_rows = slice(
-                period % n_kept_periods * n_steps, (period % n_kept_periods + 1) * n_steps
+                period_index % n_kept_periods * steps_per_period,
+                (period_index % n_kept_periods + 1) * steps_per_period,
             )
-            window = PeriodWindow(
+            period_window = PeriodWindow(
                 gap[period_rows],
-                force[period_rows],
-                recorded_displacement[period_rows],
+                contact_force[period_rows],
+                recorded_displacement_history[period_rows],
                 displacement_at_load,
             )
-            scheme.integrate_and_fill_period(window, period)
-            n_periods = period + 1
+            scheme.integrate_and_fill_period(period_window, period_index)
+            n_integrated_periods = period_index + 1
             gathered_displacement_at_load = np.concatenate(
                 structure.comm.allgather(displacement_at_load), axis=1
             )
-            gap_motion = window.gap[:, : structure.n_pairs] + structure.clearance
+            gap_motion = period_window.gap[:, : structure.n_pairs] + structure.clearance
             # Slow modes hardly move the gaps.
-            newest_arrays = gap_motion, gathered_displacement_at_load
-            if previous_arrays is not None:
-                relative_change = _largest_relative_change(newest_arrays, previous_arrays)
-            previous_arrays = newest_arrays
+            newest_period_arrays = gap_motion, gathered_displacement_at_load
+            if previous_period_arrays is not None:
+                relative_change = _largest_relative_change(
+                    newest_period_arrays, previous_period_arrays
+                )
+            previous_period_arrays = newest_period_arrays
             if relative_change < request.settle or stop_request.is_requested(structure.comm):
                 break
     elapsed_seconds = clock.perf_counter() - start_seconds
-    n_kept_rows = min(n_periods, n_kept_periods) * n_steps
-    oldest_row = n_periods % n_kept_periods * n_steps if n_periods > n_kept_periods else 0
-    gap, force, recorded_displacement = (
-        np.roll(kept_array[:n_kept_rows], -oldest_row, axis=0) for kept_array in kept_arrays
+    n_kept_rows = min(n_integrated_periods, n_kept_periods) * steps_per_period
+    oldest_row = (
+        n_integrated_periods % n_kept_periods * steps_per_period
+        if n_integrated_periods > n_kept_periods
+        else 0
     )
-    gap, force = merge_rows_of_pairs(request.contact, structure.n_pairs, gap, force)
+    gap, contact_force, recorded_displacement_history = (
+        np.roll(kept_history_array[:n_kept_rows], -oldest_row, axis=0)
+        for kept_history_array in kept_history_arrays
+    )
+    gap, contact_force = merge_layers_of_pairs(
+        request.contact, structure.n_pairs, gap, contact_force
+    )
     final_state = scheme.final_state_parts()
     for petsc_object in scheme.petsc_objects:
         petsc_object.destroy()
     n_pairs, friction_coefficient = structure.n_pairs, friction_coefficient_of(request.contact)
     return TimeHistory(
-        time=np.arange(n_periods * n_steps - n_kept_rows, n_periods * n_steps) * request.step_size,
+        time=np.arange(
+            n_integrated_periods * steps_per_period - n_kept_rows,
+            n_integrated_periods * steps_per_period,
+        )
+        * request.step_size,
         gap=gap[:, :n_pairs],
         settled=relative_change,
         created_energy=scheme.created_energy_ratio,
-        periods=n_periods,
+        periods=n_integrated_periods,
         seconds=elapsed_seconds,
-        steps_per_period=n_steps,
+        steps_per_period=steps_per_period,
         structure=structure,
-        recorded=recorded_displacement,
+        recorded=recorded_displacement_history,
         recorded_dofs=request.recorded_dofs,
         final_state=final_state,
-        contact_force=force[:, :n_pairs],
+        contact_force=contact_force[:, :n_pairs],
         tangential_gap=None if friction_coefficient is None else gap[:, n_pairs:],
-        tangential_force=None if friction_coefficient is None else force[:, n_pairs:],
+        tangential_force=None if friction_coefficient is None else contact_force[:, n_pairs:],
         friction=friction_coefficient,
     )
 
@@ -588,12 +618,15 @@ def _moving_part_sizes(period_arrays: Sequence[np.ndarray]) -> list[float]:
     """Return a reference size for the changes of each array (N, m) over a period.
 
     The size is the root sum of squares. In this sum the mean over time is limited to the
-    oscillation: a steady load must not hide changes. An array whose size is below ``NEGLIGIBLE``
-    times the largest size gets inf, so its changes do not count. An example: gaps between rigid
-    crack faces in permanent contact.
+    oscillation: a steady load must not hide changes. An array whose size is below
+    ``STIFFNESS_SOLUTION_ROUNDING`` times the largest size gets inf, so its changes do not count. An
+    example: gaps between rigid crack faces in permanent contact.
     """
     motion_sizes = [motion_size(period_array) for period_array in period_arrays]
-    return [size if size > NEGLIGIBLE * max(motion_sizes) else math.inf for size in motion_sizes]
+    return [
+        size if size > STIFFNESS_SOLUTION_ROUNDING * max(motion_sizes) else math.inf
+        for size in motion_sizes
+    ]
 
 
 def make_initial_state_parts(
@@ -625,10 +658,10 @@ def make_initial_state_parts(
             for state_part_coefficients in state_coefficients
         )
         if has_friction and friction_of(initial.contact) is not None:
-            state_parts = *state_parts, initial.sticking_places(np.zeros(1))[0]
+            state_parts = *state_parts, initial.slider_positions(np.zeros(1))[0]
     else:
         try:
-            state_parts = tuple(floats_or_nan(state_part) for state_part in initial)
+            state_parts = tuple(floats_or_single_nan(state_part) for state_part in initial)
         except TypeError:
             state_parts = ()
     expected_shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
@@ -646,6 +679,8 @@ def make_initial_state_parts(
     input_error = InputError(
         "initial", [state_part.shape for state_part in state_parts], allowed_text
     )
-    is_finite = all(np.all(np.isfinite(state_part)) for state_part in state_parts)
-    raise_first_error(structure.comm, None if has_right_shapes and is_finite else input_error)
+    has_only_finite_values = all(np.all(np.isfinite(state_part)) for state_part in state_parts)
+    raise_first_error(
+        structure.comm, None if has_right_shapes and has_only_finite_values else input_error
+    )
     return state_parts

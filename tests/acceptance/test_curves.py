@@ -189,17 +189,17 @@ def assert_on_the_circle(bifurcation: fc.Bifurcation) -> None:
     ids=["a pair leaves", "doubling"],
 )
 def test_rigid_plate_loses_its_stability(
-    light_lips: fc.Structure, span: tuple[float, float], expected: dict[str, float]
+    has_massless_crack_faces: fc.Structure, span: tuple[float, float], expected: dict[str, float]
 ) -> None:
     """Where harmonic balance with few harmonics has other bifurcations: disturbed motions come back
     before it, and leave behind it."""
     law = fc.UnilateralConstraint()
-    curve = fc.continue_frequency(light_lips, *span, law, tolerance=1e-2)
+    curve = fc.continue_frequency(has_massless_crack_faces, *span, law, tolerance=1e-2)
     [bifurcation] = curve.bifurcations
     assert {bifurcation.kind: bifurcation.value} == pytest.approx(expected, rel=1e-7)
     assert np.array_equal(curve.stable, curve.omega < bifurcation.value)
     assert_on_the_circle(bifurcation)
-    flow = judged.flow_of(light_lips, law)
+    flow = judged.flow_of(has_massless_crack_faces, law)
     for place in (0, -1):
         point = curve.solution(place)
         exact = judged.orbit_of(point)

@@ -31,9 +31,9 @@ def test_two_probes_test_no_order() -> None:
     [blade] = fc.read_record(DEMOS / "blisk_blade.csv", tip_radius=0.164).values()
     two_probes = blade.without(np.array([1]))
     fit = fc.fit_passage(two_probes, 130.1, range(5, 9))
-    assert fit.untested and fit.probes == 2 and fit.order == 7
-    assert {fit.order, *fit.ambiguous} == {5.0, 6.0, 7.0, 8.0}
+    assert fit.is_order_untested and fit.probes == 2 and fit.order == 7
+    assert {fit.order, *fit.ambiguous_orders} == {5.0, 6.0, 7.0, 8.0}
     assert "order untested by 2 probes" in repr(fit)
     single_order_fit = fc.fit_passage(two_probes, 130.1, [6])
-    assert not single_order_fit.untested and single_order_fit.ambiguous == ()
-    assert not fc.fit_passage(blade, 130.1, range(5, 9)).untested
+    assert not single_order_fit.is_order_untested and single_order_fit.ambiguous_orders == ()
+    assert not fc.fit_passage(blade, 130.1, range(5, 9)).is_order_untested

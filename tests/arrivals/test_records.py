@@ -28,10 +28,10 @@ def blade() -> fc.ArrivalTimes:
 def test_the_largest_resonance_of_a_blisk(blade: fc.ArrivalTimes) -> None:
     """Order 8 with its margin; up and down the same."""
     [fit] = fc.find_passages(blade, range(7, 10), most=1, asynchronous=0)
-    assert fit.order == 8 and fit.margin > 50.0 and not fit.ambiguous
+    assert fit.order == 8 and fit.margin > 50.0 and not fit.ambiguous_orders
     assert fit.omega / HERTZ == pytest.approx(125.556, abs=0.03)
     assert 0.0020 < fit.damping < 0.0024
-    assert fit.apart < 5e-4 and not fit.disagree and len(fit.ends) == 2
+    assert fit.relative_frequency_range < 5e-4 and not fit.passages_disagree and len(fit.ends) == 2
     assert 0.005 < fit.omega_error / HERTZ < 0.012
     single_order_fit = fc.fit_passage(blade, fit.speed, [8])
     assert (
@@ -45,9 +45,9 @@ def test_the_largest_resonance_of_a_blisk(blade: fc.ArrivalTimes) -> None:
 def test_the_record_of_a_blisk(blade: fc.ArrivalTimes) -> None:
     """Order 8 among all; the other resonances of the family of modes near 125 Hz."""
     fits = fc.find_passages(blade)
-    assert fits[0].order == 8 and fits[0].margin > 50.0 and not fits[0].ambiguous
+    assert fits[0].order == 8 and fits[0].margin > 50.0 and not fits[0].ambiguous_orders
     assert fits[0].omega / HERTZ == pytest.approx(125.556, abs=0.03)
-    orders = {fit.order: fit.omega / HERTZ for fit in fits if not fit.ambiguous}
+    orders = {fit.order: fit.omega / HERTZ for fit in fits if not fit.ambiguous_orders}
     assert {6.0, 7.0, 12.0, 13.0} <= set(orders)
     for order in (6.0, 7.0, 12.0, 13.0):
         assert orders[order] == pytest.approx(125.0, abs=1.2)
@@ -60,7 +60,7 @@ def test_passages_of_a_known_mode(line: float) -> None:
     omega, damping, order = 500.0, 0.004, 5
     record, motion = sweep_record([(omega, damping, order, 2e-3 * damping)], line=line)
     [fit] = fc.find_passages(record, range(1, 9))
-    assert fit.order == order and not fit.ambiguous and fit.margin > 1e2 and not fit.in_doubt
+    assert fit.order == order and not fit.ambiguous_orders and fit.margin > 1e2 and not fit.in_doubt
     assert fit.omega == pytest.approx(omega, rel=3e-6)
     assert [round(line_fit.omega, 2) for line_fit in fit.asynchronous] == [line] * (line > 0.0)
     assert fit.damping == pytest.approx(damping, rel=5e-3)
@@ -84,11 +84,11 @@ def test_frequency_that_follows_the_speed(stiffening: float) -> None:
     assert fit.omega == pytest.approx(omega, rel=3e-5)
     assert fit.damping == pytest.approx(damping, rel=5e-3)
     assert fit.amplitude == pytest.approx(np.abs(motion).max(), rel=0.01)
-    measured_motion, fitted_motion = fit.compared(record)[0][1:]
+    measured_motion, fitted_motion = fit.compute_measured_and_fitted_motion(record)[0][1:]
     assert np.nanstd(measured_motion - fitted_motion) < 3e-6
     constant_fit = fc.fit_passage(record, 100.0, [order])
     assert constant_fit.damping == pytest.approx(damping / (1.0 - stiffening), rel=0.15)
-    assert constant_fit.disagree and constant_fit.disagreement_in_words.startswith(
+    assert constant_fit.passages_disagree and constant_fit.disagreement_in_words.startswith(
         "passages differ by more than their errors"
     )
     catch_error(
@@ -132,7 +132,7 @@ def test_arrivals_of_another_blade(order: int) -> None:
     """One arrival in ten is of the next blade, 50 mm away: the order is that of the others."""
     modes = [(100.0 * order, 0.002, order, 1e-7)]
     [fit] = fc.find_passages(sweep_record(modes, outlier_share=0.1)[0], range(1, 9))
-    assert fit.order == order and not fit.ambiguous and not fit.in_doubt
+    assert fit.order == order and not fit.ambiguous_orders and not fit.in_doubt
     assert abs(fit.omega - 100.0 * order) < 4.0 * fit.omega_error
 
 
@@ -147,7 +147,7 @@ def test_a_probe_that_drops_out() -> None:
         for fit in (scanned_fit, fc.fit_passage(record, 100.0, [5])):
             assert fit.order == 5 and len(fit.ends) == 2 and not fit.blind
             assert abs(fit.omega - 500.0) < 4.0 * fit.omega_error
-            assert fit.compared(record)[1][1].shape[1] == 4
+            assert fit.compute_measured_and_fitted_motion(record)[1][1].shape[1] == 4
 
 
 @pytest.mark.parametrize("interval", [2, 3])
@@ -160,7 +160,7 @@ def test_a_record_of_some_revolutions(interval: int) -> None:
     assert fit.order == 5 and abs(fit.omega - 500.0) < 4.0 * fit.omega_error
     assert not fit.in_doubt and 0.0 < fit.whiteness < 1.0
     assert replace(fit, whiteness=np.nan).in_doubt  # where nothing tests it
-    assert replace(fit, omega_errors=np.full(2, np.nan)).disagree
+    assert replace(fit, omega_errors=np.full(2, np.nan)).passages_disagree
 
 
 @pytest.mark.drawn(1)
@@ -178,7 +178,7 @@ def test_a_channel_that_sees_nothing(blind_index: int) -> None:
     assert fit.order == 5 and fit.blind == (record.probes[blind_index],) and not fit.in_doubt
     assert abs(fit.omega - omega) < 3.0 * fit.omega_error
     assert abs(fit.damping - damping) < 3.0 * fit.damping_error
-    [(speeds, measured_motion, fitted_motion)] = fit.compared(record)[:1]
+    [(speeds, measured_motion, fitted_motion)] = fit.compute_measured_and_fitted_motion(record)[:1]
     assert measured_motion.shape == fitted_motion.shape == (len(speeds), 3)
     passage_fit = fc.fit_passage(record, 100.0, range(1, 9))
     assert (

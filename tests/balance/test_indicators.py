@@ -61,4 +61,4 @@ def test_a_steady_load_leaves_two_masses_still() -> None:
             force_cos=[size, 0.0], damping=0.1 * np.eye(2),
         )  # fmt: skip
         solution = fc.solve_harmonic_balance(structure, 1.0, fc.UnilateralPenalty(3.0))
-        assert solution.still == (size == 0.0)
+        assert solution.is_still == (size == 0.0)

@@ -41,7 +41,11 @@ from fenics_crack import (
     build_structure,
     solve_modes,
 )
-from fenics_crack.balance.compliance import DEFLATION_BAND, DynamicStiffness, make_compliance_model
+from fenics_crack.balance.compliance import (
+    DEFLATION_BAND,
+    FactorisedDynamicStiffness,
+    make_compliance_model,
+)
 from fenics_crack.balance.contact_integrals import (
     CoupledIntegrals,
     ExactIntegrals,
@@ -51,9 +55,9 @@ from fenics_crack.balance.contact_integrals import (
     integrals_with_uncoupled_pairs,
 )
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.model.modes import damped_modes, multiply_columns
+from fenics_crack.model.modes import modes_with_modal_damping, multiply_columns
 from fenics_crack.model.nodes import Pairs
-from fenics_crack.motion.motions import Indicators, ObservedMotion, Record
+from fenics_crack.motion.motions import Indicators, MotionRecord, ObservedMotion
 from fenics_crack.numerics.fourier import (
     evaluate_series,
     fourier_coefficients,
@@ -447,7 +451,7 @@ def test_one_pair_is_a_penalty_behind_a_spring(stiffness: float, softness: float
         gap = random_gaps(7, 1, seed)
         options: dict[str, Any] = {
             "residual_compliance": np.full((1, 1), 0.4),
-            "relative_softness": softness,
+            "relative_series_softness": softness,
         }
         forces = CoupledIntegrals(law, 7, **options).linearise(gap)
         pair, spring = (
@@ -458,7 +462,7 @@ def test_one_pair_is_a_penalty_behind_a_spring(stiffness: float, softness: float
             assert relative(point.force, spring.force) < 1e-12
         assert relative(forces.tangent()[:, 0], spring.tangent[0]) < 1e-11
         assert relative(pair.tangent, spring.tangent) < 1e-12
-        coupled_slope, pair_slope = (point.softness_derivative() for point in (forces, pair))
+        coupled_slope, pair_slope = (point.series_softness_derivative() for point in (forces, pair))
         assert np.allclose(coupled_slope, pair_slope, rtol=1e-10, atol=1e-12)
 
 
@@ -517,11 +521,11 @@ def test_coupled_tangent_against_finite_differences(kind: str, harmonics: int) -
 @pytest.mark.parametrize("kind", LAWS)
 def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> None:
     """By central differences; a rigid law has no stiffness to depend on."""
-    gap, contact = random_gaps(5, 3, 3), integrals(kind, 5, relative_softness=softness)
+    gap, contact = random_gaps(5, 3, 3), integrals(kind, 5, relative_series_softness=softness)
     forces, step = contact.linearise(gap), 1e-5
-    slope = forces.softness_derivative()
+    slope = forces.series_softness_derivative()
     shifted_forces = [
-        contact.with_softness(softness + s * step).linearise(gap).force for s in (1.0, -1.0)
+        contact.with_series_softness(softness + s * step).linearise(gap).force for s in (1.0, -1.0)
     ]
     assert relative((shifted_forces[0] - shifted_forces[1]) / (2.0 * step), slope) < 1e-5
     if kind == "rigid":
@@ -532,7 +536,7 @@ def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> No
     def scaled(logarithm: float) -> np.ndarray:
         scaled_contact = replace(contact, law=law.scaled(np.exp(logarithm)))
         # Softness is measured in the compliance, which changes here: kept in metres per newton.
-        softened_contact = scaled_contact.with_softness(
+        softened_contact = scaled_contact.with_series_softness(
             softness * contact.mean_pair_compliance / scaled_contact.mean_pair_compliance
         )
         return softened_contact.linearise(gap).force
@@ -545,7 +549,7 @@ def test_widened_keeps_the_forces() -> None:
     for kind in LAWS:
         gap = random_gaps(4, 3)
         padded_gap = np.vstack([gap, np.zeros((8, 3))])
-        contact = integrals(kind, 4, relative_softness=0.2)
+        contact = integrals(kind, 4, relative_series_softness=0.2)
         contact = contact if kind == "sampled" else replace(contact, samples=None)
         force = contact.with_harmonics(8).linearise(padded_gap).force[:9]
         assert relative(force, contact.linearise(gap).force) < (1e-3 if kind == "sampled" else 1e-9)
@@ -672,7 +676,7 @@ def applied(structure: Structure, omega: float, amplitude: np.ndarray) -> np.nda
     product_rows = product(structure.stiffness) - omega**2 * product(structure.mass)
     if structure.damping_matrix is not None:
         product_rows += 1j * omega * product(structure.damping_matrix)
-    if (modes := damped_modes(structure)) is not None:
+    if (modes := modes_with_modal_damping(structure)) is not None:
         modal_velocity = structure.sum_over_ranks(amplitude @ modes.mass_shapes)
         product_rows += 1j * omega * (modal_velocity * modes.damping_rates) @ modes.mass_shapes.T
     return product_rows
@@ -723,7 +727,7 @@ def test_against_dense_matrices(damping: Any, omega: float) -> None:
         gap = structure.gap.toarray()
         rng = np.random.default_rng(seed)
         real_rows = rng.standard_normal((4, N))
-        with DynamicStiffness(structure, omega) as stiffness:
+        with FactorisedDynamicStiffness(structure, omega) as stiffness:
             for rows in (real_rows, real_rows + 1j * rng.standard_normal((4, N)), real_rows[:1]):
                 assert relative_error(applied(structure, omega, rows), rows @ matrix.T) < 1e-12
                 exact_solution = np.linalg.solve(matrix, rows.T).T
@@ -741,7 +745,7 @@ def test_paper_plate_against_dense_matrices(
     structure = paper_structure.damped(damping)
     matrix = dense_stiffness(structure, omega)
     gap = structure.gap.toarray()
-    with DynamicStiffness(structure, omega) as stiffness:
+    with FactorisedDynamicStiffness(structure, omega) as stiffness:
         solution = stiffness.solve(structure.force)
         assert relative_error(solution, np.linalg.solve(matrix, structure.force.T).T) < 1e-10
         assert relative_error(applied(structure, omega, solution), solution @ matrix.T) < 1e-12
@@ -752,7 +756,7 @@ def test_paper_plate_against_dense_matrices(
 @pytest.mark.parametrize("damping", DAMPINGS.values(), ids=DAMPINGS)
 def test_symmetry_of_the_compliance(damping: Any) -> None:
     """Reciprocity: R = R^T, but for a damping matrix that is not symmetric itself."""
-    with DynamicStiffness(random_structure(damping), 7.77) as stiffness:
+    with FactorisedDynamicStiffness(random_structure(damping), 7.77) as stiffness:
         compliance = stiffness.pair_compliance_matrix()
     asymmetry = relative_error(compliance, compliance.T)
     if isinstance(damping, np.ndarray) and not np.array_equal(damping, damping.T):
@@ -764,7 +768,7 @@ def test_symmetry_of_the_compliance(damping: Any) -> None:
 def test_dissipation() -> None:
     """Damping takes energy out: the imaginary part of f^T Z^-1 f is negative for every f."""
     for damping in (ModalDamping(0.02), np.eye(N)):
-        with DynamicStiffness(random_structure(damping), 7.77) as stiffness:
+        with FactorisedDynamicStiffness(random_structure(damping), 7.77) as stiffness:
             work = stiffness.pair_compliance_matrix().imag
         assert np.linalg.eigvalsh((work + work.T) / 2.0).max() < 0.0
 
@@ -783,7 +787,7 @@ def check_near_resonance(structure: Structure, mode: int, offset: float) -> None
     rng = np.random.default_rng(mode)
     gap = structure.gap.toarray()
     force = rng.standard_normal((2, structure.n_dofs)) + 1j * rng.standard_normal(structure.n_dofs)
-    with DynamicStiffness(structure, omega) as stiffness:
+    with FactorisedDynamicStiffness(structure, omega) as stiffness:
         assert relative_error(stiffness.solve(force), force @ inverse.T) < 1e-8
         assert relative_error(stiffness.pair_compliance_matrix(), gap.T @ inverse @ gap) < 1e-8
 
@@ -842,7 +846,7 @@ def test_near_a_resonance_of_the_damped_modes_alone(offset: float) -> None:
     omega = float(solve_modes(structure, 2).omega[1]) * (1.0 + offset)
     matrix = dense_stiffness(structure, omega)
     force = np.random.default_rng(1).standard_normal((3, N))
-    with DynamicStiffness(structure, omega) as stiffness:
+    with FactorisedDynamicStiffness(structure, omega) as stiffness:
         assert relative_error(stiffness.solve(force), np.linalg.solve(matrix, force.T).T) < 1e-8
 
 
@@ -854,7 +858,7 @@ def test_deflated_undamped_mode() -> None:
         np.eye(N), np.diag(omega**2), gap=np.ones(N), damping=ModalDamping(ratios)
     )
     nearby_omega = 3.0 * (1.0 + 2.0**-20)
-    with DynamicStiffness(structure, nearby_omega) as stiffness:
+    with FactorisedDynamicStiffness(structure, nearby_omega) as stiffness:
         solution = stiffness.solve(np.eye(N))
     denominators = omega**2 - nearby_omega**2 + 2j * ratios * omega * nearby_omega
     denominators[2] = (3.0 - nearby_omega) * (3.0 + nearby_omega)
@@ -867,12 +871,16 @@ def test_free_structure(damping: Any) -> None:
     """A structure that can move as a rigid body has no static answer, and one at a frequency."""
     omega = np.append([0.0, 0.0], np.linspace(1.0, 20.0, N - 2))
     structure = Structure.from_matrices(*with_frequencies(omega), gap=np.ones(N), damping=damping)
-    catch_error(lambda: DynamicStiffness(structure, 0.0), names="rigid body", kind=ConvergenceError)
+    catch_error(
+        lambda: FactorisedDynamicStiffness(structure, 0.0),
+        names="rigid body",
+        kind=ConvergenceError,
+    )
     if isinstance(damping, ModalDamping):
         inverse = modal_sum(structure, 0.3, rigid=2)
     else:
         inverse = np.linalg.inv(dense_stiffness(structure, 0.3))
-    with np.errstate(all="raise"), DynamicStiffness(structure, 0.3) as stiffness:
+    with np.errstate(all="raise"), FactorisedDynamicStiffness(structure, 0.3) as stiffness:
         assert relative_error(stiffness.solve(np.eye(N)), inverse.T) < 1e-6
 
 
@@ -894,7 +902,7 @@ def test_undamped_resonance(mode: int) -> None:
     omega = np.arange(1.0, N + 1.0)
     structure = Structure.from_matrices(np.eye(N), np.diag(omega**2), gap=np.ones(N))
     catch_error(
-        lambda: DynamicStiffness(structure, omega[mode]),
+        lambda: FactorisedDynamicStiffness(structure, omega[mode]),
         names="undamped resonance",
         kind=ConvergenceError,
     )
@@ -908,14 +916,15 @@ def test_resonance_of_an_undamped_mode(paper_structure: Structure, mode: int) ->
     ratios[mode] = 0.0
     for damping in (ModalDamping(0.0), ModalDamping(ratios)):
         catch_error(
-            partial(DynamicStiffness, paper_structure.damped(damping), omega[mode]), "omega"
+            partial(FactorisedDynamicStiffness, paper_structure.damped(damping), omega[mode]),
+            "omega",
         )
 
 
 @pytest.mark.parametrize("omega", [-1.0, np.nan, np.inf])
 def test_frequency_that_cannot_be(omega: float) -> None:
     """A frequency is finite and not negative."""
-    catch_error(lambda: DynamicStiffness(random_structure(), omega), "omega", omega)
+    catch_error(lambda: FactorisedDynamicStiffness(random_structure(), omega), "omega", omega)
 
 
 # --- several ranks --------------------------------------------------------------------------------
@@ -929,7 +938,7 @@ def responses(scene: Scene, cases: list[Any], comm: MPI.Comm) -> list[Any]:
     results_by_case = []
     for ratio, modes, omega in cases:
         damped_structure = built.damped(None if ratio is None else ModalDamping(ratio, modes))
-        with DynamicStiffness(damped_structure, omega) as stiffness:
+        with FactorisedDynamicStiffness(damped_structure, omega) as stiffness:
             response = stiffness.solve(built.force.astype(complex))
             load_rows = applied(damped_structure, omega, response)
             compliance = stiffness.pair_compliance_matrix()
@@ -973,7 +982,7 @@ def compliances(kinds: list[str], comm: MPI.Comm) -> list[np.ndarray]:
         distributed_structure = Structure.from_matrices(
             mass, stiffness, gap=structure.gap, damping=damping, comm=comm
         )
-        with DynamicStiffness(distributed_structure, 7.77) as dynamic:
+        with FactorisedDynamicStiffness(distributed_structure, 7.77) as dynamic:
             compliance_matrices.append(dynamic.pair_compliance_matrix())
     return compliance_matrices
 
@@ -1002,8 +1011,8 @@ def test_reduced_chain_that_is_not_fixed() -> None:
             for factor in (0.5, 1.3, 2.5):
                 omega = factor * mode_omegas[1]
                 with (
-                    DynamicStiffness(reduced_structure, omega) as reduced_stiffness,
-                    DynamicStiffness(full_structure, omega) as full_stiffness,
+                    FactorisedDynamicStiffness(reduced_structure, omega) as reduced_stiffness,
+                    FactorisedDynamicStiffness(full_structure, omega) as full_stiffness,
                 ):
                     errors.append(
                         relative(
@@ -1175,7 +1184,7 @@ class Given(ObservedMotion):
             "coefficients": waves[:, None],
         }
         values |= {"row_products": np.array([[11.0], [-11.0]]), "gaps": nothing, "forces": nothing}
-        self._record = Record(**values | {"structure": self.structure} | given)
+        self._record = MotionRecord(**values | {"structure": self.structure} | given)
 
     def yield_records_of_row_products(self, rows: np.ndarray) -> Any:
         yield self._record

@@ -803,7 +803,7 @@ def test_folds_of_a_stiff_curve() -> None:
     folds = continuation.curve.bifurcations
     assert len(folds) == 16
     for fold in folds:
-        parameter, unknown = family.parameter(fold.value), fold.point.points[0]
+        parameter, unknown = family.parameter(fold.value), fold.single_point_curve.points[0]
         tangent = tangent_of(family, unknown, family.linearise(unknown, parameter))
         start = PathPoint(unknown, parameter, 0, tangent)
         sides = [must(try_step(family, start, step, 1e-11)) for step in (1e-5, 2e-5)]
@@ -992,7 +992,7 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = fc.Problem(structure, 0.83, fc.UnilateralConstraint(), 20)
     family = EQUATIONS_CLASS_BY_PARAMETER["omega"](problem, 0.6, 0.45)
     start_solution = fc.solve_harmonic_balance(structure, 0.6, problem.contact, harmonics=20)
-    start = start_solution.slow_gap_coefficients
+    start = start_solution.gap_series_without_static_part
     ends = []
     for system in (family, Plain(family)):
         start_point = point_on_path(system, start, 0.0)
@@ -1000,7 +1000,9 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
         for point in path.points():
             linearisation = family.linearise(point.unknown, point.parameter)
             assert np.linalg.norm(linearisation.residual) < 2e-8 * np.linalg.norm(point.unknown)
-        assert path.end_reason is EndReason.REACHED and path.last_point.parameter == 1.0
+        assert (
+            path.end_reason is EndReason.TERMINAL_EVENT_REACHED and path.last_point.parameter == 1.0
+        )
         ends.append(path.last_point.unknown)
     assert relative(ends[0], ends[1]) < 1e-8
 

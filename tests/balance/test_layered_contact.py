@@ -64,7 +64,7 @@ def test_orbit_against_sampled_forces(make_structure: Callable[[], fc.Structure]
     """The exact orbit is the solution with many harmonics of forces that are sampled in time, with
     a single row for each pair; so are its multiplier and the numbers of its crack faces."""
     structure = make_structure()
-    n_harmonics, n_samples = (60, 8192) if structure.light_lips else (90, 16384)
+    n_harmonics, n_samples = (60, 8192) if structure.has_massless_crack_faces else (90, 16384)
     sampled_solution = fc.solve_harmonic_balance(
         structure, OMEGA, BilinearLaw(5.0, 0.15, 0.3), harmonics=n_harmonics, samples=n_samples
     )

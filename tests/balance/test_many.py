@@ -10,7 +10,10 @@ import pytest
 from helpers import catch_error, chain, chain_stiffness, oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.harmonic_balance import search_initial_orbit, truncated_orbit_solution
+from fenics_crack.balance.harmonic_balance import (
+    search_orbit_by_harmonic_balance,
+    truncated_orbit_solution,
+)
 
 RIGID = fc.UnilateralConstraint()
 
@@ -61,10 +64,10 @@ def check_single(cases: fc.ManyOrbits, share: float) -> None:
 
 
 @pytest.mark.nightly
-def test_plate(light_lips: fc.Structure) -> None:
+def test_plate(has_massless_crack_faces: fc.Structure) -> None:
     """Rigid contact of crack faces without mass: neighbours lead to nearly all."""
-    omega = float(fc.bilinear_frequencies(light_lips).omega_bilinear[0])
-    cases = solved(light_lips, RIGID, drawn(omega, 40))
+    omega = float(fc.bilinear_frequencies(has_massless_crack_faces).omega_bilinear[0])
+    cases = solved(has_massless_crack_faces, RIGID, drawn(omega, 40))
     assert np.mean(cases.status == "neighbour") > 0.8
     check_single(cases, 0.95)
 
@@ -140,9 +143,9 @@ def test_undamped_cases_take_their_neighbours_orbits(monkeypatch: pytest.MonkeyP
 
     def search(problem: Any) -> Any:
         searches.append(problem.omega)
-        return search_initial_orbit(problem)
+        return search_orbit_by_harmonic_balance(problem)
 
-    monkeypatch.setattr("fenics_crack.balance.many.search_initial_orbit", search)
+    monkeypatch.setattr("fenics_crack.balance.many.search_orbit_by_harmonic_balance", search)
     cases = fc.solve_many(masses, np.linspace(0.3, 2.0, 40), fc.UnilateralPenalty(10.0))
     assert np.all(cases.verdict != "") and len(searches) <= 10
     assert np.sum(cases.status == "neighbour") >= 30

@@ -26,7 +26,7 @@ def test_the_orbit_of_a_search_is_error_and_verdict(plate: fc.Structure) -> None
     distance to an orbit that is found without harmonic balance."""
     solution = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=48)
     stability = fc.floquet(plate, solution)
-    assert "orbit_prediction" not in vars(solution.assessment)
+    assert "orbit_prediction_by_newton_step" not in vars(solution.assessment)
     orbit = fc.solve_harmonic_balance(plate, 2000.0, RIGID, tolerance=0.5).orbit
     assert orbit is not None and stability.verdict != "undecided"
     assert solution.report.truncation == pytest.approx(

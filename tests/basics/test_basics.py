@@ -30,11 +30,11 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack.basics import machine, progress
-from fenics_crack.basics.atomic_files import keep_files, write_file_whole, write_files_together
+from fenics_crack.basics.atomic_files import back_up_files, write_file_whole, write_files_together
 from fenics_crack.basics.errors import WriteError
 from fenics_crack.basics.observables import (
     OBSERVABLES_BY_NAME,
-    ObservableFlag,
+    ObservableTableFlag,
     Place,
     observable_names,
 )
@@ -265,7 +265,9 @@ def test_entries_of_contact(results: dict[str, Any]) -> None:
     free_linear_solution = fc.solve_linear(
         fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5
     )
-    of_faces = observable_names(Place.CRACK_FACES, excluded_flags=ObservableFlag.REQUIRES_FRICTION)
+    of_faces = observable_names(
+        Place.CRACK_FACES, excluded_flags=ObservableTableFlag.REQUIRES_FRICTION
+    )
     assert (
         entries.keys() - free_linear_solution.to_dict().keys()
         == {*of_faces}
@@ -535,7 +537,7 @@ def test_a_file_that_is_kept(
         link.symlink_to(victim)
     if not linking:
         monkeypatch.setattr(os, "link", lambda *_: os.lstat("/nothing"))  # an OSError
-    assert keep_files(("a", "b", "d"), own_folder, kept_path) and not keep_files(
+    assert back_up_files(("a", "b", "d"), own_folder, kept_path) and not back_up_files(
         ("c", "d"), own_folder, kept_path
     )
     write_file_whole(own_folder / "a", "after")
@@ -543,7 +545,7 @@ def test_a_file_that_is_kept(
     assert sorted(path.name for path in kept_path.iterdir()) == ["a", "c"]
     (own_folder / "link").symlink_to(kept_path)
     catch_error(
-        lambda: keep_files(("a",), own_folder, own_folder / "link"), kind=NotADirectoryError
+        lambda: back_up_files(("a",), own_folder, own_folder / "link"), kind=NotADirectoryError
     )
 
 

@@ -28,7 +28,7 @@ from fenics_crack.cli.account import (
     yield_instability_warning,
     yield_large_error_warning,
 )
-from fenics_crack.cli.curves import _find_undecided_ranges, shorten_special_points
+from fenics_crack.cli.curves import _find_undecided_index_ranges, shorten_special_points
 from fenics_crack.cli.studies import (
     list_skipped_peak_remarks,
     shorten_sweep_table,
@@ -87,11 +87,11 @@ def test_advice_is_by_the_largest_part(
 def test_undecided_stretches_of_a_curve() -> None:
     """The longest first, also at the ends; none of what is not judged."""
     undecided_mask = np.array([True, False, True, True, True, False, True])
-    curve: Any = SimpleNamespace(undecided=undecided_mask)
-    ranges = _find_undecided_ranges(curve)
+    curve: Any = SimpleNamespace(is_undecided=undecided_mask)
+    ranges = _find_undecided_index_ranges(curve)
     assert ranges == [(2, 4), (0, 0), (6, 6)]
-    curve.undecided = None
-    assert _find_undecided_ranges(curve) == []
+    curve.is_undecided = None
+    assert _find_undecided_index_ranges(curve) == []
 
 
 def test_undecided_orbit(scene: fc.Scene) -> None:
@@ -334,7 +334,7 @@ def test_a_motion_of_closed_lips_settles(
     vibration_size = np.linalg.norm(limit - limit.mean())
     assert abs(limit.mean()) * len(limit) ** 0.5 > vibration_size  # and counts as much
     distance = np.linalg.norm(last_period - limit) / (2.0**0.5 * vibration_size)
-    assert run.distance == pytest.approx(distance, rel=0.02)
+    assert run.distance_to_steady_motion == pytest.approx(distance, rel=0.02)
 
 
 # --- pictures of sweeps ---------------------------------------------------------------------------

@@ -227,7 +227,8 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     run = fc.load_run(tmp_path / "solution.h5")
     [attractor] = fc.attractors(run.structure, run.result)
     sizes = [
-        f"{1e3 * size:.4g} mm" for size in np.sort(attractor.amplitudes(run.watched_dof))[[0, -1]]
+        f"{1e3 * size:.4g} mm"
+        for size in np.sort(attractor.amplitude_in_each_period(run.watched_dof))[[0, -1]]
     ]
     settling_text = "; a disturbed motion still varies after 1000 periods, between"
     expected_text = f"{settling_text} {' and '.join(sizes)} half peak-to-peak"
@@ -239,7 +240,10 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     curve = fc.load_run(tmp_path / "curve.h5")
     last_solution = curve.result.solution(len(curve.result) - 1)
     [doubled_motion] = fc.attractors(curve.structure, last_solution)
-    sizes = [f"{size:.4g} m" for size in np.sort(doubled_motion.amplitudes(curve.watched_dof))]
+    sizes = [
+        f"{size:.4g} m"
+        for size in np.sort(doubled_motion.amplitude_in_each_period(curve.watched_dof))
+    ]
     settling_text = "; a disturbed motion settles to between"
     expected_text = (
         f"response is unstable: a test shows another motion{settling_text} {sizes[0]} and "

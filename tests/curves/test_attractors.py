@@ -42,7 +42,9 @@ def test_two_that_are_told_apart_by_the_unstable_one(omega: float) -> None:
     upper_solution, unstable_solution, lower_solution = solutions(omega)
     assert fc.floquet(two_masses(), unstable_solution).verdict == "unstable"
     motions = fc.attractors(two_masses(), unstable_solution)
-    amplitudes = sorted(float(size) for motion in motions for size in motion.amplitudes())
+    amplitudes = sorted(
+        float(size) for motion in motions for size in motion.amplitude_in_each_period()
+    )
     assert all(motion.description == "settles to a periodic orbit" for motion in motions)
     assert amplitudes == pytest.approx(
         [lower_solution.amplitude(), upper_solution.amplitude()], rel=2e-3
@@ -60,7 +62,9 @@ def test_one_of_twice_the_period() -> None:
         two_masses(), 0.75, STOP, periods=300, record_periods=2, steps_per_period=2000,
         initial=upper_solution,
     )  # fmt: skip
-    assert np.sort(attractor.amplitudes()) == pytest.approx(np.sort(sizes_of(history)), rel=1e-3)
+    assert np.sort(attractor.amplitude_in_each_period()) == pytest.approx(
+        np.sort(sizes_of(history)), rel=1e-3
+    )
 
 
 def test_what_swells_and_falls() -> None:
@@ -71,7 +75,7 @@ def test_what_swells_and_falls() -> None:
         "does not settle: after 1000"
     )
     history = fc.integrate_events(two_masses(), 0.614, STOP, periods=900, record_periods=300)
-    sizes, amplitudes = sizes_of(history), attractor.amplitudes()
+    sizes, amplitudes = sizes_of(history), attractor.amplitude_in_each_period()
     assert len(amplitudes) == 100 and np.ptp(amplitudes) > 0.05 * amplitudes.max()
     assert [amplitudes.min(), amplitudes.max()] == pytest.approx(
         [sizes.min(), sizes.max()], rel=2e-3
@@ -84,7 +88,9 @@ def test_several_periods() -> None:
     [attractor] = fc.attractors(two_masses(), unstable)
     assert attractor.orbit is not None and attractor.orbit.subharmonic == 4
     history = fc.integrate_events(two_masses(), 0.617, STOP, periods=900, record_periods=4)
-    assert np.sort(attractor.amplitudes()) == pytest.approx(np.sort(sizes_of(history)), rel=1e-4)
+    assert np.sort(attractor.amplitude_in_each_period()) == pytest.approx(
+        np.sort(sizes_of(history)), rel=1e-4
+    )
 
 
 def test_of_what_is_not_unstable() -> None:

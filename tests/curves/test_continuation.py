@@ -259,7 +259,7 @@ def test_closed_loop() -> None:
     )
     curve = continue_frequency(
         structure, omega, 2.5 * omega, law, harmonics=24, subharmonic=3, initial=orbit,
-        turning_back=0.5,
+        max_turn_back_fraction=0.5,
     )  # fmt: skip
     assert curve.complete and curve.status == "closed loop"
     assert (
@@ -287,7 +287,7 @@ def test_points_come_one_by_one(tmp_path: Path) -> None:
     assert np.array_equal(part.omega, complete_curve.omega[:stop])
     assert 0.0 < continuation.progress_fraction() < 1.0
     assert (
-        continuation.describe_values()
+        continuation.describe_parameter_and_point_count()
         == f"{points[-1].omega / (2.0 * np.pi):.6g} Hz, {len(points)} points"
     )
     fc.save(part, tmp_path / "part.h5")
@@ -306,7 +306,7 @@ def test_points_come_one_by_one(tmp_path: Path) -> None:
         ("end", {"end": 1.0}),
         ("omega", {"omega": None}),
         ("tolerance", {"tolerance": 0.0}),
-        ("turning_back", {"turning_back": -1.0}),
+        ("max_turn_back_fraction", {"max_turn_back_fraction": -1.0}),
         ("longest_step", {"longest_step": 2.0}),
         ("samples", {"tolerance": 1e-3, "samples": 64}),
         ("samples", {"harmonics": 5, "samples": 20}),

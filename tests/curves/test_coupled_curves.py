@@ -58,7 +58,7 @@ def newton_step(curve: fc.ResponseCurve, index: int) -> float:
     point = curve.solution(index)
     problem = replace(curve.problem.with_harmonics(point.harmonics), omega=point.omega)
     linearisation = problem.system(problem.compliance_model()).linearise(
-        point.slow_gap_coefficients
+        point.gap_series_without_static_part
     )
     return float(
         np.abs(linearisation.solve(linearisation.residual)).max()
@@ -171,7 +171,7 @@ def test_eight_pairs_over_a_resonance(curve: fc.ResponseCurve) -> None:
     fold = curve.bifurcations[0]
     assert fold.solution.static_above == curve.static_above
     np.testing.assert_allclose(
-        fold.point.points[0], fold.solution.slow_gap_coefficients, atol=1e-18
+        fold.single_point_curve.points[0], fold.solution.gap_series_without_static_part, atol=1e-18
     )
 
 

@@ -39,7 +39,7 @@ from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.branch import find_branch_start_point
 from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.orbit_events import (
-    MIN_STEP_RATIO,
+    MIN_REJECTABLE_STEP_RATIO,
     MultiplierStepControl,
     changes_of_multiplier_counts,
     leading_multipliers_and_counts,
@@ -187,7 +187,7 @@ def test_over_the_speed_of_a_rotor() -> None:
     orbit = orbit_at(family.problem_at(600.0))
     assert orbit.n_events > 0 and family.omega(620.0) == pytest.approx(12 * 620.0)
     unknown = family.unknown(orbit.state, 600.0)
-    assert family.curve_points_row(unknown, 600.0) == pytest.approx(orbit.state, abs=1e-12)
+    assert family.unscaled_solution(unknown, 600.0) == pytest.approx(orbit.state, abs=1e-12)
     size = np.abs(unknown).max()
     point, step = family.linearise(unknown, 0.5), 1e-5
     assert point.residual == pytest.approx(0.0, abs=1e-9 * size)
@@ -391,7 +391,7 @@ def test_turns_back_past_its_start(stop: Continuation) -> None:
     start_orbit = stop.curve.orbit(place)  # type: ignore[attr-defined]
     path = Continuation(
         fc.Problem(two_masses(), 0.7, LAW), "omega", start_orbit.omega, 0.9, exact=True,
-        initial=start_orbit, most_points=500, turning_back=0.0,
+        initial=start_orbit, most_points=500, max_turn_back_fraction=0.0,
     )  # fmt: skip
     path.run()
     assert not path.complete and path.has_returned
@@ -411,7 +411,7 @@ def test_branch_of_twice_the_period(stop: Continuation) -> None:
     twofold = fc.Problem(oscillator(), 1.5, fc.UnilateralPenalty(1.0), 10, subharmonic=2)
     path = Continuation(
         twofold, "omega", 1.5, 3.0, exact=True, initial=first_point, branch_of=single.curve,
-        most_points=500, turning_back=0.0,
+        most_points=500, max_turn_back_fraction=0.0,
     )  # fmt: skip
     path.run()
     assert path.complete and path.status == "joined the branch that it left"
@@ -505,9 +505,17 @@ def test_what_counts_as_a_change(before: Any, after: Any, expected: tuple[int, .
     [
         ((-0.5, -0.45, -0.4), (0.0, 1.0, 1.0), (False, False)),
         ((-0.5, -0.1, 0.3), (0.0, 1.0, 1.0), (True, True)),  # more than half of its distance
-        ((-0.5, -0.5, -0.52), (0.0, MIN_STEP_RATIO / 2, MIN_STEP_RATIO / 2), (False, False)),
+        (
+            (-0.5, -0.5, -0.52),
+            (0.0, MIN_REJECTABLE_STEP_RATIO / 2, MIN_REJECTABLE_STEP_RATIO / 2),
+            (False, False),
+        ),
         # Not below the shortest step.
-        ((-0.5, -0.1, 0.3), (0.0, MIN_STEP_RATIO / 2, MIN_STEP_RATIO / 2), (False, False)),
+        (
+            (-0.5, -0.1, 0.3),
+            (0.0, MIN_REJECTABLE_STEP_RATIO / 2, MIN_REJECTABLE_STEP_RATIO / 2),
+            (False, False),
+        ),
         ((-0.06, -0.08, -0.06), (0.0, 1.0, 1.0), (False, True)),  # not as it came
         ((-0.06, -0.08, -0.16), (0.0, 1.0, 2.0), (False, True)),  # by as much
     ],
@@ -539,7 +547,7 @@ def integrated(law: Any, solution: fc.PeriodicSolution) -> np.ndarray:
     """M of the modes that move by SciPy's integrator, the law evaluated at its own instants."""
     modes, residual = all_modes(solution.structure), solution.residual_compliance
     if solution.static_above is not None:
-        modes = modes.with_static_modes(solution.static_above)
+        modes = modes.with_fast_modes_quasi_static(solution.static_above)
     n, unit = len(modes.squares), np.eye(solution.structure.n_pairs)
     damping = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
 
@@ -588,7 +596,7 @@ def test_pairs_behind_a_compliance() -> None:
     structure = fc.reduce_structure(chain("modal"), modes=4, method="massless")
     law = fc.SmoothedPenalty(20.0, 4.0)
     solution = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=8)
-    gap, static_above = solution.slow_gap_coefficients, solution.static_above
+    gap, static_above = solution.gap_series_without_static_part, solution.static_above
     matrix = monodromy_of_linear_flow(structure, law, gap, solution.base_omega, static_above)
     assert relative(matrix, integrated(law, solution)) < 2e-6
     assert fc.floquet(structure, solution).verdict != "undecided"
@@ -644,7 +652,7 @@ def test_many_at_once_are_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -
     structure, law = chain("matrix"), fc.SmoothedPenalty(3.0, 4.0)
     gap = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=6).gap_coefficients
     single_monodromy = monodromy_of_linear_flow(structure, law, gap, 1.1)
-    monkeypatch.setattr("fenics_crack.curves.stability.MODAL_COORDINATES_IN_CACHE", 1)
+    monkeypatch.setattr("fenics_crack.curves.stability.N_MODAL_COORDINATES_IN_CPU_CACHE", 1)
     assert relative(monodromy_of_linear_flow(structure, law, gap, 1.1), single_monodromy) < 1e-10
 
 
@@ -816,7 +824,7 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no orbit is found at the start, by a curve from the end; or it says that there is
     none."""
     expected_curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2)
-    search = continuation.search_initial_orbit
+    search = continuation.search_orbit_by_harmonic_balance
 
     def lost(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
         return search(problem, initial)._replace(orbit=None, outcome_text="lost")
@@ -824,13 +832,13 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     def lost_at_start(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
         return (lost if problem.omega == 0.6 else search)(problem, initial)
 
-    monkeypatch.setattr(continuation, "search_initial_orbit", lost_at_start)
+    monkeypatch.setattr(continuation, "search_orbit_by_harmonic_balance", lost_at_start)
     curve = fc.continue_frequency(expected_curve.structure, 0.6, 0.9, STOP, tolerance=1e-2)
     assert (
         curve.complete and curve.values[-1] == 0.9 and "a search from the end found" in curve.status
     )
     assert curve.points[0] == pytest.approx(expected_curve.points[0], rel=1e-6)
-    monkeypatch.setattr(continuation, "search_initial_orbit", lost)
+    monkeypatch.setattr(continuation, "search_orbit_by_harmonic_balance", lost)
     catch_error(
         lambda: fc.continue_frequency(expected_curve.structure, 0.6, 0.9, STOP, tolerance=1e-2),
         names=r"no exact orbit was found at 0.6 rad/s: lost",
@@ -858,5 +866,5 @@ def test_change_over_half_a_period_is_twice_the_odd_harmonics() -> None:
     coefficients = np.random.default_rng(3).standard_normal((7, 2))
     later = coefficients * (-1.0) ** ((np.arange(7) + 1) // 2)[:, None]
     system = SimpleNamespace(shape=coefficients.shape)
-    change = BalanceEquations.relative_motion_change_over_half_period(system, coefficients, 0.0)  # type: ignore[arg-type]
+    change = BalanceEquations.half_period_repetition_error(system, coefficients, 0.0)  # type: ignore[arg-type]
     assert change == pytest.approx(relative(later, coefficients), rel=1e-12)

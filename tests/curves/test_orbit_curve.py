@@ -72,7 +72,7 @@ def test_verdicts_are_those_of_the_orbits(curve: fc.ResponseCurve) -> None:
     """None is open but next to the unit circle."""
     sizes = [abs(curve.orbit(index).multipliers[0]) for index in range(len(curve))]
     assert np.abs(curve.multipliers) == pytest.approx(sizes, rel=1e-9)
-    assert [*(np.array(sizes) < 1.0)] == [*curve.stable] and not curve.undecided.any()
+    assert [*(np.array(sizes) < 1.0)] == [*curve.stable] and not curve.is_undecided.any()
     assert curve.reason(0) == ""
     on_circle = replace(curve, multipliers=np.exp(1j * np.linspace(0.0, 1.0, len(curve))))
     assert set(on_circle.verdicts) == {"undecided"} and "modulus 1" in on_circle.reason(3)

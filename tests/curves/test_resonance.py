@@ -63,7 +63,7 @@ def test_newton_step_against_differences() -> None:
     """A step by the linearised equations changes the residual by their right-hand side."""
     problem = Problem(mass(0.05, clearance=0.3), 1.0, fc.UnilateralPenalty(1.0), 6)
     point = first_phase_resonance(problem, 1.0)
-    system = ResonanceSystem(point.problem, point.exciting_harmonic, point.contact_point)
+    system = ResonanceSystem(point.problem, point.exciting_harmonic, point.linearised_balance)
     rng, width = np.random.default_rng(4), 1e-6
     unknown = point.unknown * (1.0 + 0.05 * rng.normal(size=system.shape))  # not a solution
     residual = rng.normal(size=system.shape)

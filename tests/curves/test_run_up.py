@@ -45,7 +45,7 @@ def test_basis_of_all_speeds() -> None:
     law = fc.UnilateralConstraint()
     for speed in (540.0, 660.0):
         at_speed = rotor.at_speed(speed)
-        structure_at_speed = full_structure.rotation.at(speed)
+        structure_at_speed = full_structure.rotation.structure_rotating_at_speed(speed)
         assert at_speed.omega == pytest.approx(
             fc.solve_modes(structure_at_speed, 6).omega, rel=1e-8
         )
@@ -74,7 +74,7 @@ def test_stated_errors_of_a_run_up(run_up: Run[fc.ResponseCurve]) -> None:
     ]
     assert errors.values["amplitude"] == pytest.approx(curve.amplitude().max(), rel=1e-3)
     name = "omega_bilinear_1"
-    rate = 1.0 - curve.solution(peak.index).structure.stiffening(peak.omega)
+    rate = 1.0 - curve.solution(peak.index).structure.stiffening_exponent(peak.omega)
     assert rate < 0.99 and errors.stated("speed")[0] * rate == pytest.approx(errors.stated(name)[0])
     mesh = run_up.scene.mesh
     changes = {"mesh.lip_elements": 2 * mesh.given("lip_elements"), "mesh.size": mesh.size / 2.0}
@@ -115,7 +115,10 @@ def test_derivative_by_the_speed() -> None:
     problem = fc.Problem(rotor, ORDER * 600.0, fc.UnilateralConstraint(), 3)
     solution = fc.solve_harmonic_balance(rotor, problem.omega, problem.contact, harmonics=3)
     assert solution.indicators(0).closed_share > 0.05
-    family, unknown = BalanceAlongSpeed(problem, 560.0, 640.0), solution.slow_gap_coefficients
+    family, unknown = (
+        BalanceAlongSpeed(problem, 560.0, 640.0),
+        solution.gap_series_without_static_part,
+    )
     rate = family._residual_derivative_by_value(600.0, family.system(600.0).linearise(unknown))
     lower_residual, upper_residual = (
         family._make_system(600.0 + d).linearise(unknown).residual for d in (-0.01, 0.01)
@@ -148,7 +151,7 @@ def test_a_crack_that_rotation_holds_open() -> None:
     nearby_omegas = [rotor.at_speed(speed * (1.0 + h)).omega for h in (-1e-4, 1e-4)]
     mode = int(np.abs(rotor.omega - omega).argmin())
     stiffening = float(np.log(nearby_omegas[1] / nearby_omegas[0])[mode]) / 2e-4
-    assert rotor.stiffening(omega) == pytest.approx(stiffening, rel=1e-4)
+    assert rotor.stiffening_exponent(omega) == pytest.approx(stiffening, rel=1e-4)
     assert 0.02 < stiffening and peaks[1].damping == pytest.approx(0.005, rel=3e-3)
 
 
@@ -160,7 +163,9 @@ def test_natural_frequencies_are_those_of_each_speed(run_up: Run[fc.ResponseCurv
         for row in rows:
             record = dict(zip(table.columns, row, strict=True))
             omega = record["omega [rad/s]"]
-            frequencies = fc.bilinear_frequencies(rotation.at(omega / ORDER)).nearest(omega)
+            frequencies = fc.bilinear_frequencies(
+                rotation.structure_rotating_at_speed(omega / ORDER)
+            ).nearest(omega)
             for name in ("over_open", "over_tied", "over_bilinear"):
                 assert record[name] == pytest.approx(float(frequencies[name]), rel=2e-5)
     [first_omega, last_omega] = (

@@ -90,8 +90,8 @@ def false_verdicts(curve: fc.ResponseCurve, span: tuple[float, float]) -> dict[s
     longest = float(np.abs(np.diff(omega)).max())
     return {
         "judged": n_judged, "of": len(path_positions), "false": float(is_wrong.mean()),
-        "widest/resolution": widest / curve.resolution,
-        "resolution/longest": curve.resolution / longest,
+        "widest/resolution": widest / curve.max_missed_window_width,
+        "resolution/longest": curve.max_missed_window_width / longest,
     }  # fmt: skip
 
 
@@ -137,8 +137,8 @@ def test_a_window_between_two_stable_points(doubled: ResponseCurve) -> None:
 def test_resolution_of_a_curve(doubled: ResponseCurve) -> None:
     """A tenth of the longest step in the parameter; nothing of a single point."""
     steps = [next_omega - omega for omega, next_omega in pairwise(doubled.values)]
-    assert doubled.resolution == pytest.approx(0.1 * max(steps))
-    assert doubled.part([0]).resolution == 0.0
+    assert doubled.max_missed_window_width == pytest.approx(0.1 * max(steps))
+    assert doubled.part([0]).max_missed_window_width == 0.0
 
 
 @pytest.mark.parametrize("coupling", [0.002, 0.01, 0.04])

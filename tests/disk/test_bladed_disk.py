@@ -39,7 +39,7 @@ def test_blades(run: fc.Run[fc.PeriodicSolution]) -> None:
     assert blades.amplitude[0] == pytest.approx(run.result.amplitude(run.watched_dof), rel=1e-12)
     assert blades.cracked == (1,)
     assert blades.mistuning == pytest.approx(np.random.default_rng(3).normal(0.0, 0.01, 6))
-    assert blades.second[0] > 5.0 * blades.second[3]
+    assert blades.second_harmonic_ratio[0] > 5.0 * blades.second_harmonic_ratio[3]
     table = blades.table()
     assert len(table.rows) == 6 and table.columns[1] == "amplitude [m]"
     # Far below all resonances the blades follow their loads, 2 x 60 degrees apart.
@@ -124,7 +124,7 @@ def test_tips_are_timed() -> None:
     for blade, blade_arrivals in arrivals.items():
         fit = fc.fit_order(blade_arrivals, [2], harmonics=2)
         shares = find_tip_factor_by_dof(scene.given("tip_timing"), run, blade)
-        assert {wheel.blade_of(dof)[0] for dof in shares} == {blade}
+        assert {wheel.blade_and_sector_dof_of(dof)[0] for dof in shares} == {blade}
         rows = run.structure.values_at(run.result.displacement_coefficients, [*shares])
         a, b = (rows[row] @ np.array([*shares.values()]) for row in (1, 2))
         assert abs(fit.amplitudes[0] - np.hypot(a, b)) < 3.0 * fit.amplitude_errors[0]

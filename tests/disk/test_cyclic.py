@@ -135,13 +135,13 @@ def test_bonded_wheel_is_one_sector(without: dict[str, Any]) -> None:
     wheel = wheel_of(ring(**without, disk__families=6))
     sector, order, omega = wheel.sector, wheel.order, 2.0 * np.pi * 990.0
     with sector.yield_zero_diameter_solver() as zero_diameter_solver:
-        ties = zero_diameter_solver.at_diameter(order).tie_matrix.toarray()
+        ties = zero_diameter_solver.solver_at_diameter(order).tie_matrix.toarray()
     dynamic = (sector.stiffness - omega**2 * sector.mass) @ ties
     force = sector.structure.force
     pull = ties.conj().T @ (force[1] - 1j * force[2])
     exact = ties @ scipy.linalg.solve(ties.conj().T @ dynamic, pull)
     undamped_wheel = fc.reduce_wheel(wheel.damped(None))
-    _, sector_dof = wheel.blade_of(wheel.watched_dof)
+    _, sector_dof = wheel.blade_and_sector_dof_of(wheel.watched_dof)
     response = _response(undamped_wheel, omega, wheel.dofs_of_blades(wheel.watched_dof))
     phase_factors = np.exp(2j * np.pi * order * np.arange(sector.n_sectors) / sector.n_sectors)
     assert response == pytest.approx(exact[sector_dof] * phase_factors, rel=1e-5)

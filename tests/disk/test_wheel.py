@@ -213,9 +213,9 @@ def test_matrices_are_written_and_read(mistuned: Wheel, tmp_path: Path) -> None:
 
 def test_names_of_dofs(mistuned: Wheel) -> None:
     """A dof in words, and the errors of those that are none."""
-    _, base_dof = mistuned.blade_of(mistuned.watched_dof)
+    _, base_dof = mistuned.blade_and_sector_dof_of(mistuned.watched_dof)
     assert mistuned.dof_name(mistuned.dof_of(3, base_dof)).endswith("of blade 3")
-    assert mistuned.blade_of(mistuned.dof_of(3, base_dof)) == (3, base_dof)
+    assert mistuned.blade_and_sector_dof_of(mistuned.dof_of(3, base_dof)) == (3, base_dof)
     catch_error(lambda: mistuned.dof_of(9, base_dof), "blade", 9, names="1 to 8")
     catch_error(lambda: mistuned.mistuned([0.0, 0.1]), "mistuning", [0.0, 0.1], names="8 sectors")
     catch_error(

@@ -24,7 +24,7 @@ from surroundings import RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack import Scene
-from fenics_crack.fem.model_files import Model, read_model
+from fenics_crack.fem.model_files import ModelFileMesh, read_nodes_and_cells
 from fenics_crack.fem.model_pairs import find_gap_matrix_and_pairs
 from fenics_crack.model.matrix_formats import read_matrix
 
@@ -182,7 +182,7 @@ def write_nastran(folder: Path) -> dict[str, str]:
             lines += [f"DMIG*   {name:16}{labels[i][0]:16}{labels[i][1]:16}", *rows]
     lines += [f"DMIG    VAX     {0:8}{9:8}{2:8}{0:8}{'':8}{1:8}", f"DMIG*   {'VAX':16}{1:16}{0:16}"]
     (folder / "plate.pch").write_text("\n".join(lines) + "\n")
-    model = read_model(FOLDER / "plate.inp")
+    model = read_nodes_and_cells(FOLDER / "plate.inp")
     bulk = ["BEGIN BULK", "$ a comment"]
     for number, (label, (x, y, z)) in enumerate(zip(model.labels, model.points, strict=True)):
         if number % 3 == 0:
@@ -203,7 +203,7 @@ def write_nastran(folder: Path) -> dict[str, str]:
 def write_ansys(folder: Path) -> dict[str, str]:
     """Matrix Market files, what HBMAT says of their rows, and the blocks of CDWRITE."""
     files = write_market(folder)
-    model = read_model(FOLDER / "plate.inp")
+    model = read_nodes_and_cells(FOLDER / "plate.inp")
     lines = ["/PREP7", f"NBLOCK,6,SOLID,{20:9},{20:9}", "(3i9,6e21.13e3)"]
     for label, point in zip(model.labels.tolist(), model.points.tolist(), strict=True):
         coordinates = point[
@@ -226,7 +226,7 @@ def write_market(folder: Path) -> dict[str, str]:
     rows = [f"{i:8} {n:8} U{'XYZ'[d - 1]}" for i, (n, d) in enumerate(matrices["labels"], 1)]
     rows.reverse()  # their numbers tell which they are
     (folder / "plate.mapping").write_text("\n".join(["  Matrix Eqn    Node   DOF", *rows]) + "\n")
-    model = read_model(FOLDER / "plate.inp")
+    model = read_nodes_and_cells(FOLDER / "plate.inp")
     table = np.column_stack([model.labels, model.points])
     np.savetxt(folder / "nodes.csv", table, fmt="%.6g", delimiter=",")
     return {
@@ -433,7 +433,7 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     structure = fc.build_structure(Scene.from_text(SOLID).replace(keys), MPI.COMM_SELF)
     points, dofs = structure.nodes.points, structure.nodes.dofs
     stiffness = csr(structure.stiffness)
-    model = Model(np.arange(len(points)), points, {24: structure.nodes.cells})
+    model = ModelFileMesh(np.arange(len(points)), points, {24: structure.nodes.cells})
     gap, pairs = find_gap_matrix_and_pairs(model, dofs, stiffness, has_rotations=False)
     here, there = (np.lexsort(found.round(9).T) for found in (pairs.points, structure.pair_points))
     assert abs(gap[:, here] - structure.gap[:, there]).max() < 1e-12
@@ -449,7 +449,7 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     node_order = np.random.default_rng(5).permutation(len(points))  # lower nodes and upper ones
     cells = np.argsort(node_order)[structure.nodes.cells]
     other_pairs = find_gap_matrix_and_pairs(
-        Model(model.labels, points[node_order], {24: cells}),
+        ModelFileMesh(model.labels, points[node_order], {24: cells}),
         dofs[node_order],
         stiffness,
         has_rotations=False,
@@ -457,7 +457,7 @@ def test_pairs_of_a_solid_are_its_own(crack: str) -> None:
     places = [np.lexsort(found.round(9).T) for found in (pairs.points, other_pairs.points)]
     np.testing.assert_array_equal(pairs.cracks[places[0]], other_pairs.cracks[places[1]])
     nodes, _ = find_gap_matrix_and_pairs(
-        Model(model.labels, points, {}), dofs, stiffness, has_rotations=False
+        ModelFileMesh(model.labels, points, {}), dofs, stiffness, has_rotations=False
     )
     assert nodes.shape[1] > 2 * gap.shape[1]
     tied = [
@@ -498,7 +498,7 @@ def test_lips_of_bricks_and_wedges(kind: int) -> None:
     cells = np.arange(2 * n).reshape(2, n)
     dofs = np.arange(6 * n).reshape(-1, 3)
     joined_matrix = sparse.csr_matrix(np.kron(np.eye(2), np.ones((3 * n, 3 * n))))
-    model = Model(np.arange(2 * n), points, {kind: cells})
+    model = ModelFileMesh(np.arange(2 * n), points, {kind: cells})
     gap, pairs = find_gap_matrix_and_pairs(model, dofs, joined_matrix, has_rotations=False)
     area = 2.0 if kind in (12, 25) else 1.0
     assert pairs.areas is not None and len(pairs.areas) == len(base)
@@ -516,7 +516,7 @@ def test_lips_of_bricks_and_wedges(kind: int) -> None:
     expected[3] = np.array(means[tuple(ends)])[order]
     assert (gap.T @ motions.T).T == pytest.approx(expected, abs=1e-13)
     nodes, _ = find_gap_matrix_and_pairs(
-        Model(np.arange(2 * n), points, {}), dofs, joined_matrix, has_rotations=False
+        ModelFileMesh(np.arange(2 * n), points, {}), dofs, joined_matrix, has_rotations=False
     )
     assert (nodes.T @ down) == pytest.approx(1.0, abs=1e-13)
 
@@ -544,7 +544,7 @@ def test_nodes_of_nastran_in_the_order_of_vtk(card: str, tmp_path: Path) -> None
     fields = [card, "1", "1", *map(str, range(1, len(points) + 1))]
     rows = [fields[:9], *([""] + fields[k : k + 8] for k in range(9, len(fields), 8))]
     (tmp_path / "one.bdf").write_text("\n".join([*lines, *map(",".join, rows)]) + "\n")
-    model = read_model(tmp_path / "one.bdf")
+    model = read_nodes_and_cells(tmp_path / "one.bdf")
     ((cell,),) = model.cells_by_vtk_type.values()
     model_points = model.points[cell]
     n = len(corners)
@@ -584,7 +584,7 @@ def test_bad_blocks_of_ansys(tmp_path: Path, old: str, new: str, words: str) -> 
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    catch_error(lambda: read_model(path), names=words, kind=ValueError)
+    catch_error(lambda: read_nodes_and_cells(path), names=words, kind=ValueError)
 
 
 def test_abaqus_goes_on_in_the_next_line_and_file(tmp_path: Path) -> None:
@@ -606,7 +606,7 @@ def test_abaqus_goes_on_in_the_next_line_and_file(tmp_path: Path) -> None:
         "30, 1., 2.",
     ]
     (tmp_path / "all.inp").write_text("\n".join([*text, "*Include, input=cells.inc"]) + "\n")
-    model = read_model(tmp_path / "all.inp")
+    model = read_nodes_and_cells(tmp_path / "all.inp")
     assert list(model.cells_by_vtk_type) == [25]
     np.testing.assert_array_equal(model.cells_by_vtk_type[25], [range(20)])
     np.testing.assert_array_equal(model.points[-1], [1.0, 2.0, 0.0])
@@ -628,7 +628,7 @@ def test_what_would_be_misread_is_refused(name: str, text: str, words: str, tmp_
     """Cylindrical coordinates, an instance that is moved, files that include themselves or are
     included by Nastran, coordinate systems by default, a node of half a number."""
     (tmp_path / name).write_text(text)
-    catch_error(lambda: read_model(tmp_path / name), names=words, kind=ValueError)
+    catch_error(lambda: read_nodes_and_cells(tmp_path / name), names=words, kind=ValueError)
 
 
 def test_blanks_and_instances_of_abaqus(tmp_path: Path) -> None:
@@ -639,7 +639,10 @@ def test_blanks_and_instances_of_abaqus(tmp_path: Path) -> None:
     (tmp_path / "all.inp").write_text(
         f"*Instance, name=A, part=B\n0., 0., 0.\n{text.replace(kind[0], words)}"
     )
-    model, expected_model = read_model(tmp_path / "all.inp"), read_model(FOLDER / "plate.inp")
+    model, expected_model = (
+        read_nodes_and_cells(tmp_path / "all.inp"),
+        read_nodes_and_cells(FOLDER / "plate.inp"),
+    )
     np.testing.assert_array_equal(model.cells_by_vtk_type[12], expected_model.cells_by_vtk_type[12])
 
 
@@ -647,16 +650,16 @@ def test_surfaces_of_ansys_are_no_solids(tmp_path: Path) -> None:
     """SURF154 of four nodes in the block of the solids, each with the number of its type."""
     write_ansys(tmp_path)
     path = tmp_path / "plate.cdb"
-    expected_model = read_model(path)
+    expected_model = read_nodes_and_cells(path)
     label = expected_model.labels[expected_model.cells_by_vtk_type[12][0, :4]].tolist()
     surface = "".join(f"{x:9}" for x in [1, 2, 1, 1, 0, 0, 0, 0, 4, 0, 99, *label])
     text = path.read_text().replace("/PREP7", "/PREP7\nET,1,185\nET, 2, SURF154")
     path.write_text(text.replace(f"{-1:9}\nFINISH", f"{surface}\n{-1:9}\nFINISH"))
-    model = read_model(path)
+    model = read_nodes_and_cells(path)
     assert list(model.cells_by_vtk_type) == [12]
     np.testing.assert_array_equal(model.cells_by_vtk_type[12], expected_model.cells_by_vtk_type[12])
     path.write_text(path.read_text().replace("ET,1,185", "ET,1,SHELL181"))
-    catch_error(lambda: read_model(path), names=r"types 154, 181\)", kind=ValueError)
+    catch_error(lambda: read_nodes_and_cells(path), names=r"types 154, 181\)", kind=ValueError)
 
 
 def test_results_belong_to_all_their_files(folder: Path, scene: Scene) -> None:
@@ -683,7 +686,7 @@ def test_pairs_of_a_plane_model_are_the_plates(name: str) -> None:
     structure = fc.build_structure(Scene.load(DEMOS / f"{name}.toml"), MPI.COMM_SELF)
     points, dofs = (np.pad(x, ((0, 0), (0, 1)), constant_values=fill) for x, fill in (
         (structure.nodes.points, 0.0), (structure.nodes.dofs, -1)))  # fmt: skip
-    model = Model(np.arange(len(points)), points, {})
+    model = ModelFileMesh(np.arange(len(points)), points, {})
     gap, pairs = find_gap_matrix_and_pairs(
         model, dofs, csr(structure.stiffness), has_rotations=False
     )
@@ -699,7 +702,7 @@ def test_cracks_that_cross_are_refused() -> None:
     points = np.array([[0.0, 0.0, 0.0]] * 3 + [[1.0, 0.0, 0.0]])
     catch_error(
         lambda: find_gap_matrix_and_pairs(
-            Model(np.arange(4), points, {}),
+            ModelFileMesh(np.arange(4), points, {}),
             np.arange(12).reshape(-1, 3),
             sparse.identity(12, format="csr"),
             has_rotations=False,

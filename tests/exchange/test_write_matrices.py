@@ -184,7 +184,7 @@ def test_many_dofs_have_no_dense_matrix(
     paper_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Modal damping is then by its ratios alone."""
-    monkeypatch.setattr("fenics_crack.fem.matrix_files.MAX_DENSE_DOFS", 49)
+    monkeypatch.setattr("fenics_crack.fem.matrix_files.MAX_DOFS_TO_WRITE_MODAL_DAMPING", 49)
     structure = fc.build_structure(paper_scene)
     fc.write_matrices(structure, tmp_path)
     assert not (tmp_path / "damping.mtx").exists()

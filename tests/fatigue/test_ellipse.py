@@ -90,7 +90,7 @@ def table_of(
 ) -> EllipseTable:
     """So many depths, and lengths, as growth takes them."""
     depths = np.geomspace(start[0], until, count)
-    lengths = np.geomspace(start[1], growth.MAX_ELLIPSE_LENGTH_FRACTION * WIDTH, count)
+    lengths = np.geomspace(start[1], growth.MAX_ELLIPSE_LENGTH_OVER_AVAILABLE * WIDTH, count)
     deepest, ends = both(*np.meshgrid(depths, lengths, indexing="ij"), stress)
     columns = dict(
         zip(
@@ -120,7 +120,7 @@ def brute_force(
         return np.exp(log_cycles) * rate * [1.0, 2.0]
 
     def over(_: float, at: np.ndarray) -> float:
-        return max(at[0] / until, at[1] / (growth.MAX_ELLIPSE_LENGTH_FRACTION * WIDTH)) - 1.0
+        return max(at[0] / until, at[1] / (growth.MAX_ELLIPSE_LENGTH_OVER_AVAILABLE * WIDTH)) - 1.0
 
     over.terminal = True  # type: ignore[attr-defined]
     integration = solve_ivp(rates, (0.0, 40.0), start, "LSODA", events=over, rtol=1e-9, atol=1e-13)
@@ -187,7 +187,7 @@ def test_ends_of_the_path() -> None:
     threshold_path = path_of(threshold=limit)
     assert threshold_path.end_reason == "side" and threshold_path.length_along_face[
         -1
-    ] == pytest.approx(growth.MAX_ELLIPSE_LENGTH_FRACTION * WIDTH)
+    ] == pytest.approx(growth.MAX_ELLIPSE_LENGTH_OVER_AVAILABLE * WIDTH)
     ranges = table.interpolate_column(
         EFFECTIVE_RANGE_COLUMN_NAMES[0], threshold_path.depth, threshold_path.length_along_face
     )
@@ -256,7 +256,9 @@ def test_growth_of_a_table(swept: SimpleNamespace) -> None:
     assert integration.y[1, -1] == pytest.approx(found.life, rel=0.01)
     assert found.time[-1] == pytest.approx(found.life / 100.0)
     assert found.errors["vibration"] == pytest.approx(0.06) and found.factor > 1.06
-    assert "deep" in found.build_conclusion().outcome and "crack_depth" in found.to_dict()
+    assert (
+        "deep" in found.build_conclusion().computation_outcome and "crack_depth" in found.to_dict()
+    )
     assert not found.remarks
 
 

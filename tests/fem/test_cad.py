@@ -24,7 +24,7 @@ from fenics_crack import Scene
 from fenics_crack.fem.solid_mesher import (
     STRAIGHT_CELL_DISTANCE_IN_ELEMENTS,
     TETRAHEDRON_EDGES,
-    collect_groups,
+    collect_nodes_and_groups,
     straighten_edges,
 )
 from fenics_crack.study.plausibility import remarks_on_scene
@@ -365,7 +365,7 @@ def test_cells_near_a_front_are_straight() -> None:
         gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
         model.mesh.generate(3)
         model.mesh.setOrder(2)
-        contents = collect_groups([(3, 1, "solid", [1])])
+        contents = collect_nodes_and_groups([(3, 1, "solid", [1])])
         front = {"points": [[3.0, 0.0, 1.0]], "shortest": 0.2, "length": 0.0}
         positions, count = straighten_edges(contents, [front])
     positions_before = contents["positions"]

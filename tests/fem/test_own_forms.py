@@ -21,7 +21,7 @@ import fenics_crack as fc
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.loads import rigid_motion_displacements
-from fenics_crack.fem.plate import PartMesh, build_plate_or_solid_mesh
+from fenics_crack.fem.plate import MeshWithNamedParts, build_plate_or_solid_mesh
 from fenics_crack.model.modes import multiply_columns
 
 PLATE = fc.Scene.load(DEMOS / "paper_plate.toml").replace(
@@ -58,7 +58,7 @@ def vectors(mesh: Any, order: int) -> Any:
     return dolfinx.fem.functionspace(mesh, ("Lagrange", order, (mesh.geometry.dim,)))
 
 
-def given(scene: fc.Scene, comm: MPI.Comm) -> tuple[list[Any], dict[str, Any], PartMesh]:
+def given(scene: fc.Scene, comm: MPI.Comm) -> tuple[list[Any], dict[str, Any], MeshWithNamedParts]:
     """Space and forms of a scene's material on a mesh of its own, and the other arguments."""
     plate, material, d = build_plate_or_solid_mesh(scene, comm), scene.material, scene.dimension
     space = vectors(plate.mesh, scene.mesh.order)

@@ -50,7 +50,7 @@ def test_southwell_coefficients_and_stretch(name: str) -> None:
     one across it, which softens; and the stretch of a bar, rho W^2 (R L^2 / 2 + L^3 / 3) / E."""
     structure = bar(rotation={"speed": 100.0} | AXES[name])
     rotation, hub = structure.rotation, 0.1
-    squares_at_rest = fc.solve_modes(rotation.at_rest, 2).omega ** 2
+    squares_at_rest = fc.solve_modes(rotation.structure_at_rest, 2).omega ** 2
     modes = fc.solve_modes(structure, 2)
     coefficients = (modes.omega**2 - squares_at_rest) / 100.0**2
     southwell = 1.193 + 1.571 * hub / LENGTH
@@ -103,7 +103,9 @@ def test_a_twisted_blade_beside_calculix() -> None:
     0.2 % off at 6000 rpm."""
     rotation = fc.build_structure(Scene.load(BLADE)).rotation
     for rpm, calculix_hertz in CALCULIX.items():
-        hertz = fc.solve_modes(rotation.at(rpm * math.pi / 30.0), 6).omega / (2.0 * math.pi)
+        hertz = fc.solve_modes(
+            rotation.structure_rotating_at_speed(rpm * math.pi / 30.0), 6
+        ).omega / (2.0 * math.pi)
         assert hertz == pytest.approx(calculix_hertz, rel=1e-3)
 
 

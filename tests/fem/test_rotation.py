@@ -71,7 +71,7 @@ def test_frequencies_of_a_rotating_cantilever(strips: dict[int, fc.Structure], r
             continue
         squares = scipy.linalg.eigh(bending + speed**2 * tension, mass, eigvals_only=True)
         assert np.sqrt(squares[:2]) == pytest.approx(published_omegas, rel=1e-4)
-        omegas = fc.solve_modes(rotation.at(speed * UNIT), 2).omega / UNIT
+        omegas = fc.solve_modes(rotation.structure_rotating_at_speed(speed * UNIT), 2).omega / UNIT
         assert omegas == pytest.approx(published_omegas, rel=0.01)
 
 
@@ -81,8 +81,8 @@ def test_southwell_coefficients(strips: dict[int, fc.Structure]) -> None:
     for ratio, structure in strips.items():
         rotation = structure.rotation
         speed = 0.1 * UNIT
-        squares = fc.solve_modes(rotation.at(speed), 1).omega ** 2
-        squares -= fc.solve_modes(rotation.at_rest, 1).omega ** 2
+        squares = fc.solve_modes(rotation.structure_rotating_at_speed(speed), 1).omega ** 2
+        squares -= fc.solve_modes(rotation.structure_at_rest, 1).omega ** 2
         assert squares / speed**2 == pytest.approx([1.193 + 1.571 * ratio], rel=0.01)
 
 
@@ -143,7 +143,10 @@ def test_at_rest_nothing_changes() -> None:
         assert all(np.array_equal(a, b) for a, b in zip(plain_matrix, resting_matrix, strict=True))
     assert np.array_equal(plain_strip.force, resting_strip.force)
     rotation = fc.build_structure(strip(1, 1.0)).rotation
-    assert rotation is not None and rotation.at(0.0) is rotation.at_rest
+    assert (
+        rotation is not None
+        and rotation.structure_rotating_at_speed(0.0) is rotation.structure_at_rest
+    )
 
 
 # --- cracks ---------------------------------------------------------------------------------------
@@ -185,10 +188,12 @@ def test_speeds_too_high_and_loads_are_refused() -> None:
     """Where softening outweighs all stiffness nothing holds the plate; factors of a load would
     multiply the centrifugal one too."""
     rotation = fc.build_structure(strip(0, 1.0)).rotation
-    softening_matrix = rotation.at_rest.mass.copy()
+    softening_matrix = rotation.structure_at_rest.mass.copy()
     softening_matrix.scale(-1.0)
     catch_error(
-        lambda: replace(rotation, rotation_stiffness=softening_matrix).at(4.0 * UNIT),
+        lambda: replace(rotation, rotation_stiffness=softening_matrix).structure_rotating_at_speed(
+            4.0 * UNIT
+        ),
         "rotation.speed",
     )
     plate = fc.prepare(cracked(100.0))
@@ -197,7 +202,7 @@ def test_speeds_too_high_and_loads_are_refused() -> None:
         assert np.array_equal(structure.varied(damping=2.0).force, structure.force)
         varied_structure = structure.varied(damping=2.0, clearance=1e-6).whole
         for speed in (0.0, 100.0):
-            turning_structure = varied_structure.rotation.at(speed)
+            turning_structure = varied_structure.rotation.structure_rotating_at_speed(speed)
             assert np.array_equal(turning_structure.clearance, varied_structure.clearance)
             assert turning_structure.damping == varied_structure.damping != structure.whole.damping
     catch_error(
@@ -240,5 +245,5 @@ def test_lumped_and_tied_blades_rotate_still() -> None:
         variant = make_variant()
         catch_error(partial(variant.varied, load=2.0), "load", 2.0)
         rotor = fc.run_up_structure(variant, 500.0, 700.0, 3)
-        omegas = fc.solve_modes(variant.rotation.at(650.0), 3).omega
+        omegas = fc.solve_modes(variant.rotation.structure_rotating_at_speed(650.0), 3).omega
         assert rotor.at_speed(650.0).omega == pytest.approx(omegas, rel=1e-7)

@@ -17,7 +17,7 @@ from rotating import cracked
 from surroundings import DEMOS, main
 
 import fenics_crack as fc
-from fenics_crack.files.store import SavedResult
+from fenics_crack.files.store import SavableResult
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -58,7 +58,7 @@ def of_resonances() -> fc.Timing:
     return fc.Timing(None, {2: arrivals}, {2: fc.find_passages(arrivals, [3, 4])})
 
 
-RESULTS: dict[str, Callable[[], SavedResult]] = {
+RESULTS: dict[str, Callable[[], SavableResult]] = {
     "campbell": lambda: fc.campbell(cracked(100.0), [0.0, 130.0, 400.0], 2),
     "nodal_diameters": lambda: fc.nodal_diameters(DISK),
     "amplification": lambda: fc.amplification(DISK, 3, 0.01),

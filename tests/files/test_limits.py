@@ -19,7 +19,7 @@ from ranks import LIMIT
 from surroundings import RunCommand, main, no_rank
 
 from fenics_crack.basics import untrusted_files
-from fenics_crack.fem.model_files import read_model
+from fenics_crack.fem.model_files import read_nodes_and_cells
 
 SECONDS, MEMORY = 20.0, 2 * 2**30
 """Of processor time in which a command answers, and memory with which [byte]."""
@@ -126,11 +126,13 @@ def test_a_packed_table_of_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     """NumPy would unpack it without a limit."""
     for suffix, pack in (("xz", lzma.compress), ("gz", gzip.compress)):
         (tmp_path / f"nodes.{suffix}").write_bytes(pack(b"1,0,0,0\n2,1,0,0\n"))
-    assert read_model(tmp_path / "nodes.gz").labels.tolist() == [1, 2]
+    assert read_nodes_and_cells(tmp_path / "nodes.gz").labels.tolist() == [1, 2]
     monkeypatch.setattr(untrusted_files, "max_allowed_unpacked_bytes", lambda _: 12)
     for suffix, reason in (("xz", "instead of 4 numbers"), ("gz", "too large for a packed file")):
         catch_error(
-            partial(read_model, tmp_path / f"nodes.{suffix}"), names=reason, kind=ValueError
+            partial(read_nodes_and_cells, tmp_path / f"nodes.{suffix}"),
+            names=reason,
+            kind=ValueError,
         )
 
 

@@ -71,7 +71,9 @@ def numbers(name: str, path: Path) -> dict[str, Any]:
 
         result: Any = restore_result(read_result_file(path))
         if name == "identify":
-            return {key: result.summary_by_key[key] for key in ("estimate", "log_bayes_factor")}
+            return {
+                key: result.identification_summary[key] for key in ("estimate", "log_bayes_factor")
+            }
         return {"values": result.values, "stated": {q: result.stated(q)[0] for q in result.values}}
     run = fc.load_run(path)
     found: Any = run.result

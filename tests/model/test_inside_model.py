@@ -37,8 +37,8 @@ from fenics_crack.model.matrix_formats import read_labels
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import (
     damped_count_and_max_omega_or_none,
-    damped_modes,
     find_largest_natural_omega,
+    modes_with_modal_damping,
 )
 
 
@@ -413,15 +413,15 @@ def test_damped_modes() -> None:
     mass, stiffness = random_matrices(10)
     ratios = [0.01, 0.02, 0.03]
     structure = Structure.from_matrices(mass, stiffness, gap=None, damping=ModalDamping(ratios, 3))
-    mode_set = damped_modes(structure)
+    mode_set = modes_with_modal_damping(structure)
     squares = scipy.linalg.eigvalsh(stiffness, mass)[:3]
     np.testing.assert_allclose(
         mode_set.damping_rates, 2.0 * np.array(ratios) * np.sqrt(squares), rtol=1e-8
     )
     np.testing.assert_allclose(mode_set.mass_shapes, mass @ mode_set.shapes, rtol=1e-12, atol=1e-14)
-    assert damped_modes(structure) is mode_set
-    assert damped_modes(structure.damped(None)) is None
-    everywhere = damped_modes(structure.damped(ModalDamping(0.1)))
+    assert modes_with_modal_damping(structure) is mode_set
+    assert modes_with_modal_damping(structure.damped(None)) is None
+    everywhere = modes_with_modal_damping(structure.damped(ModalDamping(0.1)))
     assert everywhere is not None and len(everywhere.omega) == 10
 
 
@@ -437,7 +437,7 @@ def test_damped_modes() -> None:
 def test_damping_that_does_not_fit(key: str, damping: ModalDamping) -> None:
     """As many ratios as modes, and no more modes than dofs."""
     structure = Structure.from_matrices(*random_matrices(10), gap=None, damping=damping)
-    catch_error(lambda: damped_modes(structure), key)
+    catch_error(lambda: modes_with_modal_damping(structure), key)
 
 
 def modes_of(scene: Scene, count: int, comm: MPI.Comm) -> dict[str, Any]:
@@ -509,7 +509,7 @@ def test_modes_of_varied_copies(damping: str, eigensolutions: list[int]) -> None
         modal_matrix = factor * modes.shapes.T @ matrix @ modes.shapes
         damping_in_modes = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
         np.testing.assert_allclose(damping_in_modes, modal_matrix, atol=1e-10)
-        damped_mode_set = damped_modes(copy)
+        damped_mode_set = modes_with_modal_damping(copy)
         assert (damped_mode_set is None) == (damping in ("rayleigh", "matrix", "none"))
         if damped_mode_set is not None:
             ratio = np.asarray(copy.damping.ratio)
@@ -530,7 +530,7 @@ def test_high_harmonics_of_varied_copies(damping: str, eigensolutions: list[int]
     )):  # fmt: skip
         del eigensolutions[:]
         compliance = FactoredCompliance(copy, 0.2, load_coefficients(copy, 3, 1))
-        compliances.append(compliance.compliance_matrices_of_higher_harmonics(6))
+        compliances.append(compliance.compliance_of_truncated_harmonics(6))
         compliance.destroy()
         assert (eigensolutions == []) == (copy is half_damped)
     np.testing.assert_allclose(compliances[1], compliances[2], rtol=1e-7, atol=1e-12)
@@ -693,7 +693,9 @@ def made_seen(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
     matrix = modes.compliance_of_pairs(receptance)[0] + structure.residual_compliance  # type: ignore[attr-defined]
     load = structure.force[1] @ modes.shapes
     shape = modes.modal_response(receptance[0], load + 0j)
-    linear = shape @ modes.gaps_by_mode + structure.force[1] @ modes.massless_pair_responses
+    linear = (
+        shape @ modes.gaps_by_mode + structure.force[1] @ modes.massless_displacement_by_pair_forces
+    )
     return np.array([0.0 * matrix, matrix]), np.array([linear, linear])
 
 

@@ -346,7 +346,7 @@ def test_what_is_held_does_not_grow_with_the_pairs(paper_scene: fc.Scene) -> Non
     for owner in (model, model.body, model.reference, model.reference.body, shared_receptance):
         for name, value in vars(owner).items():
             assert not isinstance(value, np.ndarray) or value.size < plate.n_dofs or name == "force"
-    [shapes] = [value for value in plate.body.matrix_cache.values() if len(value) == 2]
+    [shapes] = [value for value in plate.body.cache_of_matrix_results.values() if len(value) == 2]
     assert shapes[1].shape == (plate.n_dofs, 14) and np.shares_memory(model.basis, shapes[1])
 
 
@@ -373,7 +373,7 @@ def test_any_number_of_modes_from_those_of_another(damping: str, unconstrained: 
                 version.clearance,
                 field,
             ]
-            motion += [np.asarray(version.damping_factor * version.modal_damping)]
+            motion += [np.asarray(version.damping_multiplier * version.modal_damping)]
         return motion
 
     base_chain = chain(damping, 40, unconstrained=unconstrained)

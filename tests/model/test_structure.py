@@ -540,7 +540,7 @@ def test_varied(damping: Any) -> None:
         assert copy.body is structure.body and copy.mass is structure.mass
         np.testing.assert_array_equal(copy.force, load * force)
         np.testing.assert_allclose(copy.clearance, clearance + added_clearance, rtol=1e-14)
-        assert copy.damping_factor == factor
+        assert copy.damping_multiplier == factor
         if isinstance(damping, ModalDamping):
             assert copy.damping.modes == damping.modes
             ratio = factor * np.asarray(damping.ratio)
@@ -553,10 +553,10 @@ def test_varied(damping: Any) -> None:
             np.testing.assert_allclose(dense(copy.damping), factor * damping, rtol=1e-14)
     np.testing.assert_array_equal(structure.force, force)
     np.testing.assert_array_equal(structure.clearance, clearance)
-    assert structure.damping is damping_before and structure.original is structure
+    assert structure.damping is damping_before and structure.unvaried_structure is structure
     assert (
-        varied_structure.original.damping is damping_before
-        and varied_structure.original.force is structure.force
+        varied_structure.unvaried_structure.damping is damping_before
+        and varied_structure.unvaried_structure.force is structure.force
     )
 
 

@@ -38,11 +38,15 @@ def solve_arrivals(
 ) -> np.ndarray:
     """Solve for arrival times within a reach [s] by Brent's method."""
     guesses = np.interp(
-        arrivals.nominal_angle, 2.0 * np.pi * np.arange(len(arrivals) + 1), arrivals.marks
+        arrivals.rotor_angle_without_vibration,
+        2.0 * np.pi * np.arange(len(arrivals) + 1),
+        arrivals.marks,
     )
     roots = [
         brentq(lambda t, end=end: angle(t) - end, mid - reach, mid + reach, xtol=1e-15, rtol=1e-15)
-        for mid, end in zip(guesses.ravel(), arrivals.nominal_angle.ravel(), strict=True)
+        for mid, end in zip(
+            guesses.ravel(), arrivals.rotor_angle_without_vibration.ravel(), strict=True
+        )
     ]
     return np.reshape(roots, arrivals.time.shape)
 
@@ -340,7 +344,15 @@ def test_csv_of_a_measured_run_up(tmp_path: Any) -> None:
     arrivals = fc.ArrivalTimes(time, marks, np.array([0.0, 0.1, 1.0]) * np.pi / 3.0, radius, 12345)
     arrivals.to_csv(tmp_path / "one.csv")
     file_arrivals = fc.ArrivalTimes.from_csv(tmp_path / "one.csv")
-    for name in ("time", "marks", "probes", "displacement", "angle", "speed", "nominal_angle"):
+    for name in (
+        "time",
+        "marks",
+        "probes",
+        "displacement",
+        "angle",
+        "speed",
+        "rotor_angle_without_vibration",
+    ):
         assert getattr(file_arrivals, name).tobytes() == getattr(arrivals, name).tobytes(), name
     assert (file_arrivals.tip_radius, file_arrivals.first) == (
         radius,

@@ -35,7 +35,12 @@ from fenics_crack.motion.flow import (
     Track,
     exact_flow_or_none,
 )
-from fenics_crack.motion.orbit import Prediction, find_orbit, predict_motion, predict_orbit
+from fenics_crack.motion.orbit import (
+    OrbitPrediction,
+    find_orbit,
+    predict_motion,
+    predict_orbit_by_newton_step,
+)
 from fenics_crack.motion.search import SearchOptions, search_orbit, series_states_at_period_parts
 from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.fourier import evaluate_series, fourier_basis, fourier_coefficients
@@ -176,7 +181,9 @@ def test_parts_make_the_whole() -> None:
     full_motion = flow.advance(thrown(flow), omega, 2.0 * np.pi / omega)
     starts = np.linspace(0.0, 2.0 * np.pi / omega, 33)[:-1]
     samples = flow.advance(thrown(flow), omega, 2.0 * np.pi / omega, instants=starts).samples
-    end_states, track, ends = flow.integrate_parts(samples.states, omega, 2.0 * np.pi / omega)
+    end_states, track, ends = flow.integrate_equal_parts_of_period(
+        samples.states, omega, 2.0 * np.pi / omega
+    )
     assert relative(end_states[:-1], samples.states[1:]) < 1e-12
     assert relative(end_states[-1], full_motion.state) < 1e-12
     assert (
@@ -291,7 +298,9 @@ def test_motions_do_not_depend_on_earlier_ones(
         for seed in range(5 * busy):
             flow.advance(thrown(flow, seed), 0.3 + 0.1 * seed, 40.0)
         motion = flow.advance(thrown(flow, 7), 0.5, 60.0)
-        step = predict_orbit(flow, 0.5, series_states_at_period_parts(flow, displacement, 0.5))
+        step = predict_orbit_by_newton_step(
+            flow, 0.5, series_states_at_period_parts(flow, displacement, 0.5)
+        )
         assert motion.n_events > 40 and step is not None
         return motion.state, motion.track.lengths, motion.track.derivative_of_end_state, step.states
 
@@ -312,7 +321,7 @@ def test_answers_of_sets(pairs: int) -> None:
     samples = flow.advance(thrown(flow), omega, 30.0, instants=instants).samples
     gaps = (
         samples.states[:, : flow.state_size // 2] @ flow.modal_model.gaps_by_mode
-        + fourier_basis(omega * instants) @ flow.load_gap
+        + fourier_basis(omega * instants) @ flow.massless_load_gap_less_clearance
     )
     assert len(np.unique(samples.is_closed, axis=0)) > min(pairs, 10)
     for gap, is_closed, answers in zip(
@@ -398,7 +407,7 @@ def test_derivative_along_short_sets(turn: float) -> None:
     assert flow.modal_model.damping.ndim == 1 and flow.structure.n_pairs == 5
     sizes, turns = (0, 1, 2, 3, 5, 2, 0, 4, 1), np.array([2, 1, 1, 1.3, 0.7, 60, 1, 1, 1])
     sets = (np.arange(5) < np.array(sizes)[:, None]).astype(np.int8)
-    lengths = turns * turn / flow.rate_bound
+    lengths = turns * turn / flow.mode_rate_bound
     exact_tangent, pairs = np.eye(flow.state_size), flow.modal_model.gaps_by_mode
     for is_closed, length in zip(sets > 0, lengths, strict=True):
         rows = pairs[:, is_closed]
@@ -410,7 +419,7 @@ def test_derivative_along_short_sets(turn: float) -> None:
         exact_tangent = (
             scipy.linalg.expm(length * matrix.reshape(exact_tangent.shape)) @ exact_tangent
         )
-    unit = np.repeat([flow.rate_bound, 1.0], flow.n_modes)
+    unit = np.repeat([flow.mode_rate_bound, 1.0], flow.n_modes)
     tangent = unit[:, None] * Track(flow, 1.0, 0.0, sets, lengths).derivative_of_end_state / unit
     assert np.abs(tangent - unit[:, None] * exact_tangent / unit).max() < 1e-13
 
@@ -421,17 +430,20 @@ def test_derivative_along_short_sets(turn: float) -> None:
 RIGID = fc.UnilateralConstraint()
 
 
-def next_to(solution: fc.PeriodicSolution) -> tuple[Prediction, PeriodicOrbit]:
+def next_to(solution: fc.PeriodicSolution) -> tuple[OrbitPrediction, PeriodicOrbit]:
     """What is predicted of a solution, and the orbit next to it."""
     assessment = solution.assessment
-    assert assessment.orbit_prediction is not None and assessment.nearest_orbit is not None
-    return assessment.orbit_prediction, assessment.nearest_orbit
+    assert (
+        assessment.orbit_prediction_by_newton_step is not None
+        and assessment.nearest_orbit is not None
+    )
+    return assessment.orbit_prediction_by_newton_step, assessment.nearest_orbit
 
 
 def distance(solution: fc.PeriodicSolution, orbit: PeriodicOrbit) -> float:
     """Of the gaps over the period, relative to what moves of B^T u."""
     time = np.arange(512) * solution.period / 512
-    slow = evaluate_series(solution.slow_gap_coefficients, solution.base_omega, time)
+    slow = evaluate_series(solution.gap_series_without_static_part, solution.base_omega, time)
     size = size_of_motion(slow + solution.structure.clearance)
     return float(np.linalg.norm(solution.gap(time) - orbit.gap_at(time)) / size)
 
@@ -470,7 +482,7 @@ def test_motion_in_arcs(light: bool) -> None:
     flow, time = orbit.flow, np.linspace(0.0, 0.999 * orbit.period, 300)
     motion = predict_motion(flow, 0.5, step, 1)
     assert relative(motion.period_samples.states[::16], step.states[:, : 2 * flow.n_modes]) < 1e-9
-    prediction = predict_orbit(flow, 0.5, orbit.period_samples.whole_states[::16])
+    prediction = predict_orbit_by_newton_step(flow, 0.5, orbit.period_samples.whole_states[::16])
     assert prediction is not None and prediction.relative_gap_error < 1e-8
     one_period_motion = predict_motion(flow, 0.5, prediction, 1)
     assert (
@@ -501,7 +513,9 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
     change = np.random.default_rng(seed).normal(size=orbit.flow.state_size)
     assert relative(orbit.motion.track @ change, orbit.monodromy @ change) < 1e-12
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_MODES_FOR_MONODROMY", 0)
-    prediction = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states_at_period_parts)
+    prediction = predict_orbit_by_newton_step(
+        orbit.flow, orbit.omega, solution.assessment.states_at_period_parts
+    )
     second_orbit = find_orbit(
         orbit.flow, orbit.omega, solution.assessment.states_at_period_parts[0]
     )

@@ -30,11 +30,11 @@ def test_pairs_that_stick_all_the_time(share: float) -> None:
         for _ in range(200):
             start = flow.advance(start, omega, period).state
         orbit = find_orbit(flow, omega, start)
-        assert orbit is not None and orbit.stuck.tolist() == list(range(16))
+        assert orbit is not None and orbit.always_stuck_pair_indices.tolist() == list(range(16))
         tip_motion = (
             orbit.period_samples.states[:, : flow.n_modes] @ structure.basis[full_plate.watched_dof]
         )
         tips.append(float(np.ptp(tip_motion)))
-        places.append(orbit.period_samples.sticking_places[0])
+        places.append(orbit.period_samples.slider_positions[0])
     assert tips == pytest.approx([tips[0]] * 3, rel=1e-9)
     assert np.abs(places[0] - places[2]).max() > 1e-3 * np.abs(places[0]).max()

@@ -164,10 +164,10 @@ def test_once_round_a_circle() -> None:
     assert np.allclose(places, [(0.0, 1.0), (0.0, -1.0)], atol=1e-7)
     zeros = [event_point.parameter for event, event_point in located_events if event is events[1]]
     assert np.allclose(zeros, [1.0, -1.0], atol=1e-10)
-    assert path.end_reason is EndReason.REACHED and path.terminal_event is events[2]
+    assert path.end_reason is EndReason.TERMINAL_EVENT_REACHED and path.terminal_event is events[2]
     assert (
         np.allclose(path.last_point.unknown, start.unknown)
-        and path.find_terminal_point_or_none() is path.last_point
+        and path.find_terminal_event_point_or_none() is path.last_point
     )
 
 
@@ -177,7 +177,7 @@ def test_target(end: float) -> None:
     plane, start = circle()
     path = Path(plane, start, PathOptions(0.05, max_step=0.3), [Target(end)])
     points = list(path.points())
-    assert path.end_reason is EndReason.REACHED and points[-1].parameter == end
+    assert path.end_reason is EndReason.TERMINAL_EVENT_REACHED and points[-1].parameter == end
     side = 1.0 if end > 0.0 else -1.0
     assert points[-1].unknown[0] == pytest.approx(side * np.sqrt(1.0 - end**2), abs=1e-10)
 
@@ -187,7 +187,9 @@ def test_path_ends_where_it_leaves_its_range_and_after_its_steps() -> None:
     plane, start = circle()
     path = Path(plane, start, PathOptions(0.05, max_step=0.3, parameter_range=(-0.5, 2.0)))
     assert min(point.parameter for point in path.points()) > -0.5
-    assert path.end_reason is EndReason.RANGE_LEFT and path.find_terminal_point_or_none() is None
+    assert (
+        path.end_reason is EndReason.RANGE_LEFT and path.find_terminal_event_point_or_none() is None
+    )
     path = Path(plane, start, PathOptions(0.05, 1.0, max_steps=7))
     assert len(list(path.points())) == 7 and path.end_reason is EndReason.TOO_MANY_POINTS
 
@@ -208,12 +210,14 @@ def test_target_is_sought_by_shorter_steps(monkeypatch: pytest.MonkeyPatch) -> N
     for n_failures in (2, 99):
         step_sizes.clear()
         path = Path(plane, start, PathOptions(0.1, max_step=0.3), [Target(0.7)])
-        end_point = path.find_terminal_point_or_none()
+        end_point = path.find_terminal_event_point_or_none()
         assert all(next_size < size for size, next_size in pairwise(step_sizes))
         if n_failures == 2:
             assert end_point is not None and end_point.parameter == 0.7 and len(step_sizes) == 3
         else:
-            assert path.end_reason is EndReason.END_LOST and path.last_point.parameter < 0.7
+            assert (
+                path.end_reason is EndReason.EVENT_NOT_LOCATED and path.last_point.parameter < 0.7
+            )
             assert step_sizes[-1] < 1e-5 and len(step_sizes) < 20
 
 
@@ -340,7 +344,7 @@ def test_snes_finds_the_end_of_a_path(kind: str) -> None:
     start = point_on_path(system, start_solution.unknown, 0.0)
     end_point = Path(
         system, start, PathOptions(0.1, max_step=0.5), [Target(1.0)]
-    ).find_terminal_point_or_none()
+    ).find_terminal_event_point_or_none()
     assert end_point is not None and end_point.parameter == 1.0
     disturbed_unknown = end_point.unknown * (
         1.0 + 1e-3 * np.random.default_rng(0).normal(size=end_point.unknown.shape)

@@ -83,7 +83,7 @@ def test_a_crack_that_is_held_is_not_bilinear(
     speeds = [max(speed, 1.0), speed + 10.0]
     campbell = fc.campbell(scene, speeds, 1)
     assert campbell.kind[0, 0] == does
-    omega = float(campbell.omega_real[0, 0])
+    omega = float(campbell.omega_in_actual_state[0, 0])
     assert omega == getattr(campbell, f"omega_{does}")[0, 0]
     blade = fc.prepare(scene.replace({"excitation.omega": omega}))
     solution = fc.solve_harmonic_balance(blade.structure, omega, blade.contact, harmonics=8)
@@ -112,7 +112,7 @@ def test_a_crack_that_is_held_partly_open() -> None:
     tied_stiffness = stiffness + 1e6 * stiffness.max() * (ties @ ties.T)
     [square], _ = eigsh(tied_stiffness.tocsc(), 1, mass, sigma=0.0)
     assert campbell.kind.tolist() == [["partly"], ["partly"]]
-    assert campbell.omega_real[0, 0] == pytest.approx(np.sqrt(square), rel=1e-6)
+    assert campbell.omega_in_actual_state[0, 0] == pytest.approx(np.sqrt(square), rel=1e-6)
     rows = campbell.to_dict()
     assert rows["crack"] == 2 * ["held partly open"] and len(rows["frequency_partly"]) == 2
     louder = fc.campbell(scene.replace({"excitation.force_sin": [100.0, 0.0]}), [200.0, 210.0], 1)
@@ -161,7 +161,7 @@ def test_a_crossing_has_the_state_of_the_crack_at_it(mean: float, does: str) -> 
         words = {"open": "held open", "tied": "held shut"}
         state = words.get(does, "breathing (bilinear estimate)")
         assert f"with the crack {state}; the speed would be" in text
-    speeds, omega, kinds = map(np.array, zip(*wide_campbell.real_line(1), strict=True))
+    speeds, omega, kinds = map(np.array, zip(*wide_campbell.list_actual_state_line(1), strict=True))
     steps = np.diff(speeds) == 0.0
     assert steps.sum() == len(wide_campbell.changes) > 0
     assert np.all(np.diff(omega)[~steps] > 0.0) and np.all(np.diff(omega)[steps] < 0.0)
@@ -287,7 +287,7 @@ def test_how_a_frequency_follows_the_speed() -> None:
         fc.campbell(scene, speed_list, 2) for speed_list in (speeds, [300.0, 590.0])
     )
     assert campbell.kind[1].tolist() == ["bilinear", "open"]
-    for line in campbell.omega_real.T:
+    for line in campbell.omega_in_actual_state.T:
         slope = float(np.log(line[2] / line[0]) / 0.02)
         for diagram in (campbell, wide_campbell):
             assert diagram.stiffening(600.0, 1.01 * line[1]) == pytest.approx(slope, rel=5e-3)

@@ -28,7 +28,7 @@ from fenics_crack.fem.interaction_integral import Tip
 from fenics_crack.model.factor import Factor, make_matrix_from_local_rows
 from fenics_crack.study import prepare
 from fenics_crack.study.key_figures import (
-    KeyFigures,
+    PreSolutionKeyFigures,
     _round_to_three_digits,
     find_key_figures,
     highest_harmonic_omega,
@@ -43,7 +43,7 @@ PAPER = fc.Scene.load(DEMOS / "paper_plate.toml").replace({"damping.ratio": 0.01
 GRID = PAPER.replace({"mesh.columns": 6, "mesh.rows": 6})
 
 
-def figures_of(scene: fc.Scene) -> KeyFigures:
+def figures_of(scene: fc.Scene) -> PreSolutionKeyFigures:
     """Of the whole structure."""
     return find_key_figures(fc.prepare(scene, whole=True))
 
@@ -186,7 +186,7 @@ def test_against_dense_algebra() -> None:
 def test_lips_that_never_meet_or_part(share: float) -> None:
     """One pair: a clearance, or a preload, just below and just above what the load moves."""
     free_figures = figures_of(PAPER)
-    assert free_figures.breathes and free_figures.n_closed_pairs == 0
+    assert free_figures.breathes and free_figures.n_pairs_closed_by_mean_load == 0
     law = fc.UnilateralPenalty(1e11)
     distant_scene = PAPER.replace(
         {"crack.clearance": share * free_figures.peak_open_crack_gap_motion}
@@ -202,7 +202,7 @@ def test_lips_that_never_meet_or_part(share: float) -> None:
     depth = np.ptp(force) / 2.0 / force.mean()  # clearance of -1 m: where the force just vanishes
     near_scene = PAPER.replace({"crack.clearance": -float(depth) / share})
     orbit = fc.solve_harmonic_balance(fc.build_structure(near_scene), 2000.0, law)
-    assert figures_of(near_scene).n_closed_pairs == 1
+    assert figures_of(near_scene).n_pairs_closed_by_mean_load == 1
     assert (
         figures_of(near_scene).breathes
         == (orbit.contact_force(times).min() <= 0.0)
@@ -251,7 +251,7 @@ def test_uncracked_plate() -> None:
     """Frequencies alone; nothing meets or parts."""
     scene = PAPER.replace({"crack": None, "contact": None})
     figures = figures_of(scene)
-    assert figures.n_face_elements is None and not figures.face_stiffness_at_pairs.size
+    assert figures.n_elements_along_face is None and not figures.face_stiffness_at_pairs.size
     np.testing.assert_array_equal(figures.omega_open, figures.omega_tied)
     assert not remarks_on_scene(scene, key_figures=figures)
 
@@ -307,7 +307,7 @@ def test_proportional_to_the_load() -> None:
 def test_a_rotor_that_keeps_its_crack_open() -> None:
     """It is named by the key of its speed."""
     figures = figures_of(PAPER.replace({"excitation.force_sin": (1.0, 0.0)}))
-    open_by_speed = replace(figures, breathes=False, n_closed_pairs=0)
+    open_by_speed = replace(figures, breathes=False, n_pairs_closed_by_mean_load=0)
     turning_scene = PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2})
     [remark] = remarks_on_scene(turning_scene, key_figures=open_by_speed)
     assert remark.key == "rotation.rpm" and "never closes" in remark.text
@@ -320,7 +320,7 @@ def test_elements_along_each_lip() -> None:
     scene = PAPER.replace(changes | {"mesh.size": 0.05, "mesh.lip_elements": 4})
     inner_crack = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
     for changed_scene in (scene, scene.replace(inner_crack)):
-        assert figures_of(changed_scene).n_face_elements == 4
+        assert figures_of(changed_scene).n_elements_along_face == 4
         remarks = remarks_on_scene(changed_scene, key_figures=figures_of(changed_scene))
         assert not any("elements" in str(remark) for remark in remarks)
 
@@ -374,7 +374,7 @@ def test_parts_of_what_a_solid_needs() -> None:
             entries = int(factor._factor.getMumpsInfog(9))
         assert 0.5 < prepare._estimate_factor_memory(structure) / (8.0 * entries) < 2.0
         _, columns, values = structure.stiffness.getValuesCSR()
-        assert prepare._estimate_matrix_memory(structure) == columns.nbytes + values.nbytes
+        assert prepare._memory_of_unfactored_matrix(structure) == columns.nbytes + values.nbytes
 
 
 def test_memory_that_is_freed_does_not_count(
@@ -382,15 +382,17 @@ def test_memory_that_is_freed_does_not_count(
 ) -> None:
     """It is given back where there would not be enough otherwise."""
     prepare.release_freed_memory()
-    needed_memory = prepare.estimate_and_check_memory(paper_scene, wide_plate)
+    needed_memory = prepare.estimate_and_check_solution_memory(paper_scene, wide_plate)
     pieces = [np.ones(10_000) for _ in range(1000)]
     machine = (needed_memory + 4e7) / 0.8
     monkeypatch.setattr(prepare, "machine_memory", lambda: machine)
     catch_error(
-        lambda: prepare.estimate_and_check_memory(paper_scene, wide_plate), "mesh.columns", 2
+        lambda: prepare.estimate_and_check_solution_memory(paper_scene, wide_plate),
+        "mesh.columns",
+        2,
     )
     pieces[:-1] = []  # the last one holds the others' memory for the process
-    assert prepare.estimate_and_check_memory(paper_scene, wide_plate) < needed_memory + 1e7
+    assert prepare.estimate_and_check_solution_memory(paper_scene, wide_plate) < needed_memory + 1e7
 
 
 def ordered_by(sides: int, dimension: int, dofs: int) -> int:

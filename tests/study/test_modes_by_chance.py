@@ -10,7 +10,7 @@ import pytest
 from helpers import DEMOS, ROOT
 
 import fenics_crack as fc
-from fenics_crack.balance.more_modes import MoreModes
+from fenics_crack.balance.more_modes import MoreModesComparison
 from fenics_crack.errors.numbers import compute_orbit_values_by_name
 from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.motion.orbit import PeriodicOrbit
@@ -50,7 +50,7 @@ def true_changes(run: fc.Run[fc.PeriodicSolution]) -> dict[str, float]:
             reference=False,
         )  # fmt: skip
         flow = exact_flow_or_none(structure, run.contact)
-        next_orbit = MoreModes(flow, result.assessment.wave, larger_orbit).orbit
+        next_orbit = MoreModesComparison(flow, result.assessment.wave, larger_orbit).orbit
         larger_orbit = next_orbit
     few_modes_numbers, many_modes_numbers = numbers(orbit), numbers(larger_orbit)
     return {

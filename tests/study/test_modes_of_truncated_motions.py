@@ -11,7 +11,7 @@ from helpers import ROOT
 from reference_flow import size_of_motion
 
 import fenics_crack as fc
-from fenics_crack.balance.more_modes import MoreModes
+from fenics_crack.balance.more_modes import MoreModesComparison
 from fenics_crack.balance.solution import Solver
 from fenics_crack.errors.stated import estimate_solution_errors
 
@@ -56,7 +56,7 @@ def true(study: fc.Study) -> float:
     return float(
         size_of_motion(many_modes_gap - few_modes_gap)
         / size_of_motion(few_modes_gap)
-        / study.structure.share
+        / study.structure.error_share_removed_by_reference
     )
 
 
@@ -72,7 +72,7 @@ def test_modes_by_an_orbit_that_is_far_away(study: fc.Study, true: float, harmon
     change = size_of_motion(plain_solution.gap(time) - solution.gap(time)) / size_of_motion(
         solution.gap(time)
     )
-    assert change / study.structure.share < 0.2 * true
+    assert change / study.structure.error_share_removed_by_reference < 0.2 * true
 
 
 def test_modes_without_any_orbit(
@@ -80,7 +80,7 @@ def test_modes_without_any_orbit(
 ) -> None:
     """Their error is at least the one by harmonics, of the gap as of each number; that the search
     has ended by its budget is said."""
-    monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PIECES", 10)
+    monkeypatch.setattr("fenics_crack.motion.orbit.MAX_ORBIT_SEARCH_TAYLOR_PIECES", 10)
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PERIODS", 0.1)
     solution = solved(study, 10)
     assert solution.assessment.nearest_orbit is None
@@ -113,7 +113,7 @@ def test_modes_whose_reference_has_no_orbit(
         ]
 
     true_part = part()
-    monkeypatch.setattr(MoreModes, "orbit", None)
+    monkeypatch.setattr(MoreModesComparison, "orbit", None)
     assert part() == pytest.approx(true_part, rel=0.15)
 
 
@@ -165,5 +165,9 @@ def test_modes_that_change_the_orbit_too_much() -> None:
         / few_modes_solution.assessment.nearest_orbit.face_indicators["opening"]
         - 1.0
     )
-    assert true_change / study.structure.share < report.stated("opening")[0] < 1.0
+    assert (
+        true_change / study.structure.error_share_removed_by_reference
+        < report.stated("opening")[0]
+        < 1.0
+    )
     assert 0.1 < solved(study, 40).report.reduction < 0.25

@@ -14,7 +14,7 @@ import fenics_crack as fc
 from fenics_crack.study.key_figures import find_key_figures, propose_curve_or_none
 from fenics_crack.study.resonance import (
     SEVERAL_MODES_REASON,
-    LoadResonance,
+    ResonanceUnderLoad,
     find_study_resonance,
     order_crossing_speed,
 )
@@ -22,7 +22,7 @@ from fenics_crack.study.resonance import (
 DEMOS = ROOT / "demos"
 
 
-def at_load(scene: fc.Scene) -> LoadResonance:
+def at_load(scene: fc.Scene) -> ResonanceUnderLoad:
     study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
     figures = find_key_figures(study)
     return find_study_resonance(study, figures.omega_bilinear, figures.squared_omega_slopes)
@@ -41,9 +41,9 @@ def test_plate() -> None:
         resonance.width == pytest.approx(whole_resonance.width, rel=0.05)
         and resonance.verdict == "stable"
     )
-    assert resonance.rest == pytest.approx(resonance.value, rel=1e-3)
+    assert resonance.omega_or_speed_under_small_load == pytest.approx(resonance.value, rel=1e-3)
     left_out = "error due to the modes and the mesh and the friction not included"
-    assert resonance.in_words.endswith(f" %; {left_out}")
+    assert resonance.amplitude_and_errors_text.endswith(f" %; {left_out}")
     twice = tuple(2.0 * force for force in scene.excitation.force_sin)
     doubled_resonance = at_load(scene.replace({"excitation.force_sin": twice}))
     assert doubled_resonance.value == pytest.approx(resonance.value, rel=1e-9)
@@ -53,7 +53,7 @@ def test_plate() -> None:
 def test_what_is_not_known() -> None:
     """It is said why: several modes, a smooth law, no damping, no crack; friction is left out."""
     resonance = at_load(fc.Scene.load(DEMOS / "paper_plate.toml"))
-    assert resonance.in_words == SEVERAL_MODES_REASON and resonance.value > 0.0
+    assert resonance.amplitude_and_errors_text == SEVERAL_MODES_REASON and resonance.value > 0.0
     plate = fc.Scene.load(DEMOS / "blade.toml")
     smooth_settings = {
         "contact.law": "smoothed",

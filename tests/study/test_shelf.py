@@ -282,7 +282,7 @@ def test_what_cannot_be_kept_is_said(
     [line] = lines_of(capfd.readouterr().err)
     assert "not kept" in line
     (folder / "prepared.h5").rmdir()
-    monkeypatch.setattr("fenics_crack.study.shelf.MAX_DATASET_BYTES", 1000)
+    monkeypatch.setattr("fenics_crack.study.shelf.MAX_STRUCTURE_FILE_BYTES", 1000)
     LAST_STRUCTURE_OR_EMPTY_LIST.clear()
     assert main(["check", str(plate)]) == 0
     [line] = lines_of(capfd.readouterr().err)

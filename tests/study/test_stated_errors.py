@@ -319,8 +319,8 @@ def test_the_report_and_the_stated_error_are_by_the_same_orbits(run: fc.Run) -> 
     solution, errors, dof = run.result, run.errors, run.watched_dof
     more_modes = solution.assessment.more_modes
     share, few_orbit, many_orbit = (
-        solution.structure.share,
-        more_modes.nearest_orbit,
+        solution.structure.error_share_removed_by_reference,
+        more_modes.orbit_with_fewer_modes,
         more_modes.orbit,
     )
     time = few_orbit.period * np.arange(2000) / 2000

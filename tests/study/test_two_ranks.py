@@ -26,7 +26,7 @@ def of_clamp(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
 
 def of_tips(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
     """Return the largest K_I (1, n_tips) of crack tips (collective)."""
-    return np.array([fc.stress_intensity(fc.solve(scene, comm)).largest])
+    return np.array([fc.stress_intensity(fc.solve(scene, comm)).max_K_I_by_tip])
 
 
 def of_fronts(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:

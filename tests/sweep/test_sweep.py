@@ -209,7 +209,7 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
         assert structure.body is geometry.structure.body
         for part in (structure, structure.whole, getattr(structure, "reference", structure)):
             assert np.all(part.clearance == clearance)
-            np.testing.assert_allclose(part.force[2], load * part.original.force[2])
+            np.testing.assert_allclose(part.force[2], load * part.unvaried_structure.force[2])
         expected_solution = fc.solve_harmonic_balance(
             structure, solution.omega, solution.contact, harmonics=solution.harmonics
         )
@@ -398,12 +398,12 @@ def test_what_is_told_of_a_verdict_is_kept(paper_scene: fc.Scene, tmp_path: Path
     ]
     scene, path = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}), tmp_path / "new.h5"
     file = SweepFile(path, scene, 5, 1)
-    file.write_pending_cases(np.arange(2), cases)
+    file.write_cases_unless_already_stored(np.arange(2), cases)
     file.close()
     stored_sweep = SweepResult.load(path)
     assert stored_sweep.undecided_indices_and_reasons == [
         ((0,), reason)
-    ] and stored_sweep.contradicted_indices_and_verdicts == [((1,), "it leaves")]
+    ] and stored_sweep.cases_contradicted_by_more_modes == [((1,), "it leaves")]
 
 
 def test_a_file_from_before_an_observable(
@@ -424,7 +424,7 @@ def test_a_file_from_before_an_observable(
     monkeypatch.setattr(sweep_file, "unit_and_type_by_column", before)
     file = SweepFile(path, scene, 5, 1)
     waves = {name: np.ones((11, 1)) for name in ("gap", "force")}
-    file.write_pending_cases(np.arange(1), [number | waves])
+    file.write_cases_unless_already_stored(np.arange(1), [number | waves])
     file.close()
     monkeypatch.undo()
     stored_sweep = SweepResult.load(path)
@@ -685,7 +685,11 @@ def test_stops_at_ctrl_c(
         record(*given)
 
     with monkeypatch.context() as patch:
-        wrap(patch, "fenics_crack.sweep.file.SweepFile.write_pending_cases", interrupted)
+        wrap(
+            patch,
+            "fenics_crack.sweep.file.SweepFile.write_cases_unless_already_stored",
+            interrupted,
+        )
         stopped_sweep = run_sweep(scene, path)
     assert not stopped_sweep.complete and 0 < np.count_nonzero(stopped_sweep["state"]) < 4
     assert_same(run_sweep(scene, tmp_path / "whole.h5"), run_sweep(scene, path))

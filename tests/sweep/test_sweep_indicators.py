@@ -216,7 +216,7 @@ def test_verdicts_that_hang_on_modes_left_out(tmp_path: Path, run_command: RunCo
         == [*many_modes_sweep["verdict"][1:], "stable"]
     )
     assert many_modes_sweep["verdict"][0] == "unstable"
-    [(place, contradiction)] = few_modes_sweep.contradicted_indices_and_verdicts
+    [(place, contradiction)] = few_modes_sweep.cases_contradicted_by_more_modes
     multiplier_text = f"largest multiplier {many_modes_sweep['multiplier'][0]:.6g}"
     assert (
         place == (0,)
@@ -228,6 +228,6 @@ def test_verdicts_that_hang_on_modes_left_out(tmp_path: Path, run_command: RunCo
     )
     assert f"{depends}9050.0: {contradiction}; raise reduction.modes" in messages
     for asked in ({"verdicts": False}, {"judged": False}):
-        assert not run_sweep(scene, comm=MPI.COMM_SELF, **asked).contradicted_indices_and_verdicts
+        assert not run_sweep(scene, comm=MPI.COMM_SELF, **asked).cases_contradicted_by_more_modes
     alone_scene = scene.replace({"sweep": None, "excitation.omega": 9050.0})
     assert contradiction in run_command("solve", alone_scene, "--output", tmp_path, code=4).err

@@ -138,7 +138,9 @@ def test_exponential_steps(dofs: int, pairs: int, damping: str, steps: int, seed
     march = flow.advance(start, 2)
     states, forces = by_exponentials(flow, start, 2 * steps)
     assert np.abs(march.states - states).max() <= 1e-12 * scale_of(states) * steps
-    assert np.abs(march.forces - forces).max(initial=0.0) <= 1e-11 * scale_of(forces)
+    assert np.abs(march.contact_forces_at_instants - forces).max(initial=0.0) <= 1e-11 * scale_of(
+        forces
+    )
     assert np.array_equal(march.is_closed, forces > 0.0)
 
 
@@ -224,11 +226,13 @@ def test_gap_is_that_of_the_coordinates() -> None:
     structure = massless()
     flow = ExponentialFlow(structure, 0.8, RIGID, 50)
     steps = flow.advance(flow.steady_states[0], 3)
-    motion = flow.displacement_from_phase_zero(steps.states[:-1], steps.forces[:-1])
+    motion = flow.displacement_from_phase_zero(
+        steps.states[:-1], steps.contact_forces_at_instants[:-1]
+    )
     assert relative(structure.apply_bt(motion) - structure.clearance, steps.gaps[:-1]) < 1e-10
     size = np.abs(steps.gaps[:-1]).max()
-    assert steps.gaps[:-1].max() < 1e-12 * size and steps.forces.min() >= 0.0
-    assert np.array_equal(steps.forces > 0.0, steps.is_closed)
+    assert steps.gaps[:-1].max() < 1e-12 * size and steps.contact_forces_at_instants.min() >= 0.0
+    assert np.array_equal(steps.contact_forces_at_instants > 0.0, steps.is_closed)
     assert np.abs(steps.gaps[:-1][steps.is_closed[:-1]]).max() < 1e-12 * size
     assert 0.05 < steps.is_closed.mean() < 0.95
 

@@ -120,7 +120,9 @@ def test_a_march_without_pairs_settles_by_the_motion_of_its_load(scheme: Scheme)
     history = scheme(bare, 0.7, law, periods=50, **options)
     assert 8 <= history.periods <= 14 and 1e-3 < history.settled < 1e-2
     assert history.gap.shape == history.contact_force.shape == (128 * history.periods, 0)
-    assert 0.0 < history.distance < 0.3 and history.change() == pytest.approx(history.settled)
+    assert 0.0 < history.distance_to_steady_motion < 0.3 and history.change() == pytest.approx(
+        history.settled
+    )
 
 
 @pytest.mark.parametrize(("omega", "settle"), [(0.9, 1e-4), (1.7, 1e-4), (1.7, 1e-2)])
@@ -138,8 +140,8 @@ def test_distance_that_is_left(omega: float, settle: float) -> None:
         moving_square = np.sum((wave - wave.mean(axis=0)) ** 2)
         size = math.sqrt(moving_square + min(np.sum(wave**2) - moving_square, moving_square))
         distances.append(np.linalg.norm(motion - wave) / size)
-    assert history.distance == pytest.approx(max(distances), rel=0.02)
-    assert history.distance > 0.4 * history.settled
+    assert history.distance_to_steady_motion == pytest.approx(max(distances), rel=0.02)
+    assert history.distance_to_steady_motion > 0.4 * history.settled
 
 
 @pytest.mark.parametrize("scheme", WITH_MASS, ids=NAMES)
@@ -219,7 +221,9 @@ def test_means_do_not_make_a_motion_settle(mean: float, clearance: float) -> Non
     )  # fmt: skip
     exact = 1.0 / abs((11.0 if is_closed else 1.0) - 0.49 + 0.014j)
     assert history.settled < 1e-3
-    assert history.indicators().amplitude == pytest.approx(exact, rel=3.0 * history.distance)
+    assert history.indicators().amplitude == pytest.approx(
+        exact, rel=3.0 * history.distance_to_steady_motion
+    )
 
 
 def test_a_longer_period_is_told_by_what_moves() -> None:

@@ -150,7 +150,7 @@ def rotating_blade() -> dict[float, tuple[np.ndarray, np.ndarray]]:
     place = ", ".join(f"{x:.13e}" for x in np.concatenate(scene.axis_point_and_direction))
     for rpm in SPEEDS:
         loads = ["*DLOAD", f"PLATE, CENTRIF, {(RPM * rpm) ** 2:.13e}, {place}"] if rpm else None
-        ours = fc.solve_modes(structure.rotation.at(RPM * rpm), 6).omega
+        ours = fc.solve_modes(structure.rotation.structure_rotating_at_speed(RPM * rpm), 6).omega
         hertz_by_rpm[rpm] = ours / (2.0 * np.pi), natural(lines, 6, loads) / (2.0 * np.pi)
     return hertz_by_rpm
 

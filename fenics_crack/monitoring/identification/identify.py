@@ -22,14 +22,18 @@ from fenics_crack.basics.ranks import MPI, on_root
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.monitoring.identification.measurements import Measurements
 from fenics_crack.monitoring.identification.model import has_load_independent_motion_shape
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
-from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, PosteriorBranch
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
+from fenics_crack.monitoring.identification.posterior import (
+    Likelihood,
+    Posterior,
+    PosteriorForTextValues,
+)
 from fenics_crack.monitoring.identification.predictor import MeasurementPredictor
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.monitoring.identification.sweeps import (
     SolvedForwardModels,
-    find_largest_vibration_ratio_and_place,
-    refine_axis_by_share_or_none,
+    find_vibration_ratio_to_solved_cracks,
+    refine_by_interpolation_share_or_none,
     solve_forward,
     solve_uncracked_plate,
 )
@@ -100,17 +104,22 @@ def identify(
     --------
     >>> found = fc.identify(scene, "measured.csv", {"crack.length": [0.02, 0.04]})  # doctest: +SKIP
     """
-    scene = _with_unknowns(scene, unknown)
+    scene = _scene_with_unknowns(scene, unknown)
     if not isinstance(measurements, Measurements):
         measurement_path = measurements
         measurements = on_root(comm, lambda: Measurements.read(measurement_path))
     measurements.check(scene)
-    measurement_rows = measurements.rows
-    load_frequencies = [row.frequency for row in measurement_rows if not row.is_natural_frequency]
+    single_measurements = measurements.rows
+    load_frequencies = [
+        measurement.frequency
+        for measurement in single_measurements
+        if not measurement.is_natural_frequency
+    ]
     frequency_only_loads = [
         load_frequency
-        for row in measurement_rows
-        if row.is_natural_frequency and (load_frequency := row.get_load_frequency(scene))
+        for measurement in single_measurements
+        if measurement.is_natural_frequency
+        and (load_frequency := measurement.get_load_frequency(scene))
     ]
     identify_table = scene.given("identify")
     uncracked_plate = solve_uncracked_plate(scene, comm)
@@ -143,7 +152,7 @@ def identify(
             return identification
         measurement_name, shares_along_unknowns, explaining_points = name_shares_and_points
         if (
-            refined_axis := refine_axis_by_share_or_none(
+            refined_axis := refine_by_interpolation_share_or_none(
                 forward_models, identification, shares_along_unknowns, explaining_points
             )
         ) is None:
@@ -156,7 +165,7 @@ def identify(
     return replace(identification, remarks=(*identification.remarks, remark_text))
 
 
-def _with_unknowns(scene: Scene, unknown: Mapping[str, Any] | None) -> Scene:
+def _scene_with_unknowns(scene: Scene, unknown: Mapping[str, Any] | None) -> Scene:
     """Return a scene with the unknowns in its table ``[identify]``; None keeps the scene's own.
 
     Raises
@@ -193,29 +202,29 @@ def infer_unknowns(
     """
     measurements.check(forward_models.scene)
     measurements, doubt_texts = _select_predictable_measurements(forward_models, measurements)
-    measurement_rows = measurements.rows
-    measurement_values, measurement_deviations = np.array(
-        [(measurement.value, measurement.deviation) for measurement in measurement_rows]
+    single_measurements = measurements.rows
+    measurement_values, measured_standard_deviations = np.array(
+        [(measurement.value, measurement.deviation) for measurement in single_measurements]
     ).T
     branch_by_words, uncracked_branch_by_words = (
         {
-            words_text: PosteriorBranch(
+            words_text: PosteriorForTextValues(
                 Likelihood(
                     measurement_values,
-                    measurement_deviations,
-                    MeasurementPredictor(model, measurement_rows),
+                    measured_standard_deviations,
+                    MeasurementPredictor(model, single_measurements),
                 )
             )
-            for words_text, model in model_by_words.items()
+            for words_text, model in forward_model_by_words.items()
         }
-        for model_by_words in (
+        for forward_model_by_words in (
             forward_models.cracked_model_by_words,
             forward_models.uncracked_model_by_words,
         )
     )
     remark_texts = (
-        *list_measurement_limit_remarks(forward_models.scene, measurements),
-        *_yield_unresolved_resonance_remarks(forward_models, measurements),
+        *list_measurement_shortcoming_remarks(forward_models.scene, measurements),
+        *_yield_excessive_vibration_remarks(forward_models, measurements),
     )
     cracked_and_uncracked_posteriors = (
         Posterior(branch_by_words),
@@ -249,38 +258,42 @@ def _select_predictable_measurements(
     ConvergenceError
         No measurement made after the crack began can be predicted.
     """
-    models = [
+    cracked_and_uncracked_models = [
         *forward_models.cracked_model_by_words.values(),
         *forward_models.uncracked_model_by_words.values(),
     ]
-    measurement_rows = measurements.rows
+    single_measurements = measurements.rows
     is_predictable = np.all(
-        [MeasurementPredictor(model, measurement_rows).is_predictable for model in models], axis=0
+        [
+            MeasurementPredictor(model, single_measurements).is_predictable
+            for model in cracked_and_uncracked_models
+        ],
+        axis=0,
     )
     solved_cases_by_path = {
         solved_cases.sweep_result.path: solved_cases
-        for model in models
-        for solved_cases in (model.coarse_cases, model.finer_cases)
+        for model in cracked_and_uncracked_models
+        for solved_cases in (model.coarse_mesh_cases, model.finer_mesh_cases)
         if solved_cases
     }
-    load_frequencies = {measurement.frequency for measurement in measurement_rows}
+    load_frequencies = {measurement.frequency for measurement in single_measurements}
     doubt_texts = []
     for sweep_path, solved_cases in solved_cases_by_path.items():
         sweep_result = solved_cases.sweep_result
         swept_frequencies = solved_cases.swept_loads.frequencies
         failed_cases_and_reasons = [
-            (case_index, reason_text)
-            for case_index, reason_text in sweep_result.failed_indices_and_reasons
-            if swept_frequencies[case_index[-1]] in load_frequencies
-            or np.isnan(sweep_result["omega_open_1"][case_index])
+            (failed_case_index, reason_text)
+            for failed_case_index, reason_text in sweep_result.failed_indices_and_reasons
+            if swept_frequencies[failed_case_index[-1]] in load_frequencies
+            or np.isnan(sweep_result["omega_open_1"][failed_case_index])
         ]
         doubt_texts += [
-            f"{sweep_path.name}: {failure_text}"
-            for failure_text in iterate_texts_by_reason(
+            f"{sweep_path.name}: {failed_cases_text}"
+            for failed_cases_text in iterate_texts_by_reason(
                 sweep_result, failed_cases_and_reasons, "failed"
             )
         ]
-    predictable_rows = list(itertools.compress(measurement_rows, is_predictable))
+    predictable_rows = list(itertools.compress(single_measurements, is_predictable))
     if all(measurement.quantity == "frequency_uncracked" for measurement in predictable_rows):
         reason_text = "; ".join(doubt_texts) or (
             "no solved case has the measured quantities; give other values in identify.unknown"
@@ -292,12 +305,14 @@ def _select_predictable_measurements(
     )
     doubt_texts += [
         f"{measurement.name} is not used: {reason_text}"
-        for measurement in itertools.compress(measurement_rows, ~is_predictable)
+        for measurement in itertools.compress(single_measurements, ~is_predictable)
     ]
     return Measurements(tuple(predictable_rows)), tuple(doubt_texts)
 
 
-def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
+def list_measurement_shortcoming_remarks(
+    scene: Scene, measurements: Measurements
+) -> tuple[str, ...]:
     """List remarks on what these measurements cannot determine, as sentences.
 
     Only the kinds of measurements matter, not the measured values. The first remark follows if all
@@ -308,15 +323,16 @@ def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> 
     real load.
     """
     identify_table = scene.given("identify")
-    crack, measurement_rows = scene.crack, measurements.rows
-    other_edge = ""
+    crack, single_measurements = scene.crack, measurements.rows
+    opposite_plate_edge = ""
     if crack is not None and not any(axis.key == "crack.edge" for axis in identify_table.unknown):
-        other_edge = {"left": "right", "right": "left"}.get(crack.edge or "", "")
-    limits_and_remarks = (
+        opposite_plate_edge = {"left": "right", "right": "left"}.get(crack.edge or "", "")
+    conditions_and_remarks = (
         (
-            other_edge
-            and all(measurement.is_natural_frequency for measurement in measurement_rows),
-            f"a crack from the {other_edge} edge has the same natural frequencies, which cannot "
+            opposite_plate_edge
+            and all(measurement.is_natural_frequency for measurement in single_measurements),
+            f"a crack from the {opposite_plate_edge} edge has the same natural frequencies, "
+            "which cannot "
             "distinguish the edges",
         ),
         (
@@ -325,46 +341,52 @@ def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> 
             "meshes twice as fine",
         ),
         (
-            any(measurement.depends_on_shape_alone for measurement in measurement_rows)
+            any(measurement.is_independent_of_load_size for measurement in single_measurements)
             and not has_load_independent_motion_shape(scene),
             "with a clearance or a steady load, the shape of the motion depends on the size of the "
             "load: check that the scene has the real load",
         ),
     )
-    return tuple(remark_text for is_limited, remark_text in limits_and_remarks if is_limited)
+    return tuple(
+        remark_text for is_remark_needed, remark_text in conditions_and_remarks if is_remark_needed
+    )
 
 
-def _yield_unresolved_resonance_remarks(
+def _yield_excessive_vibration_remarks(
     forward_models: SolvedForwardModels, measurements: Measurements
 ) -> Iterator[str]:
     """Yield remarks on cracks that vibrate much more than all solved cracks.
 
     A remark is a sentence about a crack between solved cracks, near a resonance. It names the load
     and the vibration. The vibration exceeds twice the largest of all solved cracks
-    (:attr:`Options.allowed_vibration_ratio`). The crack may then open and close unlike every solved
-    crack. If the motion is proportional to the load, there is no remark.
+    (:attr:`Options.max_vibration_ratio_to_solved_cracks`). The crack may then open and close unlike
+    every solved crack. If the motion is proportional to the load, there is no remark.
     """
     if has_load_independent_motion_shape(forward_models.scene):
         return
-    loads_and_points = dict.fromkeys(
+    measured_loads_and_points = dict.fromkeys(
         (measurement.frequency, measurement.point)
         for measurement in measurements.rows
-        if measurement.depends_on_shape_alone
+        if measurement.is_independent_of_load_size
     )
     for model, (load_frequency, point_name) in itertools.product(
-        forward_models.cracked_model_by_words.values(), loads_and_points
+        forward_models.cracked_model_by_words.values(), measured_loads_and_points
     ):
-        vibration_ratio, unknown_values = find_largest_vibration_ratio_and_place(
+        ratio_to_largest_solved_vibration, unknown_values = find_vibration_ratio_to_solved_cracks(
             model, load_frequency, point_name
         )
-        if vibration_ratio > IDENTIFICATION_OPTIONS.allowed_vibration_ratio:
-            place_text = ", ".join(
+        if (
+            ratio_to_largest_solved_vibration
+            > IDENTIFICATION_SETTINGS.max_vibration_ratio_to_solved_cracks
+        ):
+            unknown_values_text = ", ".join(
                 f"{key} = {unknown_value:.4g}"
                 for key, unknown_value in zip(model.unknown_keys, unknown_values, strict=True)
             )
             yield (
-                f"near {place_text}, the vibration at {load_frequency:.6g} Hz is up to "
-                f"{vibration_ratio:.2g} times that of any solved case, and predictions are "
+                f"near {unknown_values_text}, the vibration at {load_frequency:.6g} Hz is up to "
+                f"{ratio_to_largest_solved_vibration:.2g} times that of any solved case, and "
+                "predictions are "
                 "doubtful: add values there in identify.unknown, or measure at other frequencies"
             )
 
@@ -385,12 +407,13 @@ def _find_most_interpolated_measurement_or_none(
         fractions is at most :attr:`Options.allowed_interpolation_share` (0.2), or no crack explains
         the measurements.
     """
-    branch_points_and_shares = [
-        branch.compute_explaining_points_and_shares()
+    points_and_interpolation_shares = [
+        branch.find_explanations_and_interpolation_shares()
         for branch in identification.posterior.branch_by_words.values()
     ]
     explaining_points, interpolation_shares = (
-        np.vstack(branch_arrays) for branch_arrays in zip(*branch_points_and_shares, strict=True)
+        np.vstack(points_or_shares_of_branches)
+        for points_or_shares_of_branches in zip(*points_and_interpolation_shares, strict=True)
     )
     if not interpolation_shares.size:
         return None
@@ -398,7 +421,7 @@ def _find_most_interpolated_measurement_or_none(
     worst_row_index = int(mean_shares.sum(axis=0).argmax())
     shares_along_unknowns = mean_shares[:, worst_row_index]
     is_share_small = (
-        shares_along_unknowns.sum() <= IDENTIFICATION_OPTIONS.allowed_interpolation_share
+        shares_along_unknowns.sum() <= IDENTIFICATION_SETTINGS.allowed_interpolation_share
     )
     return (
         None

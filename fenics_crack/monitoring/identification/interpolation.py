@@ -55,7 +55,7 @@ from scipy.special import softmax
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.monitoring.identification.measurements import Measurement
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.sweep.file import STORED_HARMONIC_ORDERS, STORED_MODE_NUMBERS, CaseState
@@ -105,11 +105,11 @@ class UnknownGrid:
         on an axis has the position i, counted from 0. Positions between two values are interpolated
         linearly.
         """
-        coordinate_columns = [
+        axis_position_columns = [
             np.interp(x_column, axis_values, np.arange(len(axis_values)))
             for x_column, axis_values in zip(x.T, self.axes, strict=True)
         ]
-        return np.stack(coordinate_columns, axis=1)
+        return np.stack(axis_position_columns, axis=1)
 
 
 def _fit_spline(axis_values: np.ndarray, node_values: np.ndarray) -> Any:
@@ -170,11 +170,11 @@ class Interpolation:
             _fit_spline(axis_values, np.eye(len(axis_values))) for axis_values in unknown_grid.axes
         ]
         if unknown_grid.axes:
-            value_grid = node_values.reshape(*unknown_grid.shape, node_values.shape[1])
+            node_values_on_grid = node_values.reshape(*unknown_grid.shape, node_values.shape[1])
             leave_one_out_errors_along_axes = (
                 np.moveaxis(
                     compute_leave_one_out_errors(
-                        axis_values, np.moveaxis(value_grid, axis_index, 0)
+                        axis_values, np.moveaxis(node_values_on_grid, axis_index, 0)
                     ),
                     0,
                     axis_index,
@@ -182,7 +182,7 @@ class Interpolation:
                 for axis_index, axis_values in enumerate(unknown_grid.axes)
             )
             self._node_errors_along_axes = [
-                IDENTIFICATION_OPTIONS.error_per_leave_one_out_error
+                IDENTIFICATION_SETTINGS.error_per_leave_one_out_error
                 * errors_along_axis.reshape(node_values.shape)
                 for errors_along_axis in leave_one_out_errors_along_axes
             ]
@@ -229,10 +229,12 @@ class Interpolation:
         node_coordinates = self.unknown_grid.find_node_coordinates(self.unknown_grid.nodes)
         weight_exponents = (
             -0.5
-            / IDENTIFICATION_OPTIONS.error_averaging_width_in_nodes**2
+            / IDENTIFICATION_SETTINGS.error_averaging_width_in_nodes**2
             * cdist(self.unknown_grid.find_node_coordinates(x), node_coordinates, "sqeuclidean")
         )
-        n_averaged_nodes = min(IDENTIFICATION_OPTIONS.max_averaged_nodes, len(node_coordinates))
+        n_averaged_nodes = min(
+            IDENTIFICATION_SETTINGS.max_nodes_in_error_average, len(node_coordinates)
+        )
         nearest_node_indices = np.argpartition(-weight_exponents, n_averaged_nodes - 1, axis=1)[
             :, :n_averaged_nodes
         ]
@@ -288,35 +290,39 @@ def _fill_unknown_nodes(
         Estimated errors at filled nodes; 0 at solved nodes.
     """
     is_known, n_unknowns = np.isfinite(node_values), len(unknown_grid.axes)
-    min_known_nodes = max((n_unknowns + 1) * (n_unknowns + 2) // 2 + 1, len(node_values) / 2)
+    min_total_of_known_nodes = max(
+        (n_unknowns + 1) * (n_unknowns + 2) // 2 + 1, len(node_values) / 2
+    )
     has_enough_known_nodes = is_known.all(axis=0) | (
-        (is_known.sum(axis=0) >= min_known_nodes) & (n_unknowns > 0)
+        (is_known.sum(axis=0) >= min_total_of_known_nodes) & (n_unknowns > 0)
     )
     gapless_node_values = np.where(is_known & has_enough_known_nodes, node_values, 0.0)
     fill_errors = np.zeros_like(gapless_node_values)
     for quantity_index in np.flatnonzero(has_enough_known_nodes & ~is_known.all(axis=0)):
         is_known_node, quantity_values = is_known[:, quantity_index], node_values[:, quantity_index]
-        scaled_nodes = (unknown_grid.nodes - unknown_grid.lower_bounds) / (
+        scaled_node_coordinates = (unknown_grid.nodes - unknown_grid.lower_bounds) / (
             unknown_grid.upper_bounds - unknown_grid.lower_bounds
         )
         gapless_node_values[~is_known_node, quantity_index] = _interpolate_thin_plate(
-            scaled_nodes[is_known_node],
+            scaled_node_coordinates[is_known_node],
             quantity_values[is_known_node],
-            scaled_nodes[~is_known_node],
+            scaled_node_coordinates[~is_known_node],
         )
         for unknown_node_index in np.flatnonzero(~is_known_node):
-            node_distances = np.linalg.norm(scaled_nodes - scaled_nodes[unknown_node_index], axis=1)
+            node_distances = np.linalg.norm(
+                scaled_node_coordinates - scaled_node_coordinates[unknown_node_index], axis=1
+            )
             nearest_node_index = np.argmin(np.where(is_known_node, node_distances, np.inf))
             is_other_known_node = is_known_node & (
                 np.arange(len(is_known_node)) != nearest_node_index
             )
-            nearest_node_estimate = _interpolate_thin_plate(
-                scaled_nodes[is_other_known_node],
+            leave_out_estimate_at_nearest_node = _interpolate_thin_plate(
+                scaled_node_coordinates[is_other_known_node],
                 quantity_values[is_other_known_node],
-                scaled_nodes[nearest_node_index, None],
+                scaled_node_coordinates[nearest_node_index, None],
             )
             fill_errors[unknown_node_index, quantity_index] = (
-                quantity_values[nearest_node_index] - nearest_node_estimate[0]
+                quantity_values[nearest_node_index] - leave_out_estimate_at_nearest_node[0]
             )
     return gapless_node_values, has_enough_known_nodes, fill_errors
 
@@ -333,7 +339,7 @@ def _interpolate_thin_plate(
 
 # --- interpolated quantities ----------------------------------------------------------------------
 
-MESH_AXIS_KEY = "mesh.file"
+MESH_FILE_AXIS_KEY = "mesh.file"
 """Key of a sweep's axis over the files of ``[identify.meshes]``."""
 
 
@@ -358,16 +364,20 @@ class SweptLoads:
         engine order, the scene's frequency is taken only if ``frequencies`` is empty.
         """
         engine_order, sorted_frequencies = scene.excitation.order, sorted(set(frequencies))
-        scene_frequency = float(
+        scene_load_frequency = float(
             f"{scene.excitation.omega / RAD_PER_TURN:.9g}"
         )  # rounded as the load frequency of arrivals
         if engine_order is None:
-            self.frequencies = tuple(sorted_frequencies) or (scene_frequency,)
+            self.frequencies = tuple(sorted_frequencies) or (scene_load_frequency,)
             self.sweep_axis = Axis("excitation.frequency", self.frequencies)
         else:
             self.frequencies = (
-                scene_frequency,
-                *(frequency for frequency in sorted_frequencies if frequency != scene_frequency),
+                scene_load_frequency,
+                *(
+                    frequency
+                    for frequency in sorted_frequencies
+                    if frequency != scene_load_frequency
+                ),
             )
             speeds_rpm = tuple(60.0 * frequency / engine_order for frequency in self.frequencies)
             self.sweep_axis = Axis("rotation.rpm", speeds_rpm)
@@ -404,7 +414,7 @@ class SolvedCases:
         sweep_result: SweepResult,
         swept_loads: SweptLoads,
         mesh_number_axes: Sequence[Axis],
-        word_by_key: Mapping[str, Any],
+        text_value_by_unknown_key: Mapping[str, Any],
         uncracked_cases: SolvedCases | None = None,
     ) -> None:
         """Take the solved cases for one value of each unknown with text values.
@@ -419,7 +429,7 @@ class SolvedCases:
             Numerical unknowns, as crack length, that distinguish the files of
             ``[identify.meshes]``; they replace the sweep's axis over these files. Empty without
             mesh files.
-        word_by_key : dict
+        text_value_by_unknown_key : dict
             Chosen text value by key of the unknown.
         uncracked_cases : SolvedCases, optional
             Cases without the crack.
@@ -429,13 +439,15 @@ class SolvedCases:
         self.uncracked_cases = uncracked_cases
         unknown_axes = sweep_result.axes[:-1]
         self.word_selection_index = tuple(
-            axis.values.index(word_by_key[axis.key]) if axis.key in word_by_key else slice(None)
+            axis.values.index(text_value_by_unknown_key[axis.key])
+            if axis.key in text_value_by_unknown_key
+            else slice(None)
             for axis in unknown_axes
         )
         number_axes: list[Axis] = []
         for axis in unknown_axes:
-            if axis.key not in word_by_key:
-                number_axes += mesh_number_axes if axis.key == MESH_AXIS_KEY else [axis]
+            if axis.key not in text_value_by_unknown_key:
+                number_axes += mesh_number_axes if axis.key == MESH_FILE_AXIS_KEY else [axis]
         self.unknown_grid = UnknownGrid(
             tuple(np.array(axis.values, dtype=float) for axis in number_axes)
         )
@@ -458,20 +470,21 @@ class SolvedCases:
             if self.uncracked_cases is None:
                 return self.get_natural_frequencies("tied", mode)
             frequencies = self.uncracked_cases.get_natural_frequencies("tied", mode)
-            uncracked_shape = [
+            broadcast_shape_of_uncracked_grid = [
                 n_values if key in self.uncracked_cases.unknown_keys else 1
                 for key, n_values in zip(self.unknown_keys, self.unknown_grid.shape, strict=True)
             ]
             n_loads = frequencies.shape[1]
             frequencies = np.broadcast_to(
-                frequencies.reshape(*uncracked_shape, n_loads), (*self.unknown_grid.shape, n_loads)
+                frequencies.reshape(*broadcast_shape_of_uncracked_grid, n_loads),
+                (*self.unknown_grid.shape, n_loads),
             )
             return frequencies.reshape(-1, n_loads)
         frequencies = self.get_column(f"omega_{crack_state}_{mode}") / (2.0 * np.pi)
         if self.swept_loads.has_rotor_speeds:
             return frequencies
-        largest_frequencies = np.fmax.reduce(frequencies, axis=1, keepdims=True)
-        return np.broadcast_to(largest_frequencies, frequencies.shape)
+        largest_frequency_over_loads = np.fmax.reduce(frequencies, axis=1, keepdims=True)
+        return np.broadcast_to(largest_frequency_over_loads, frequencies.shape)
 
     def get_harmonic_amplitudes(
         self, point_name: str, load_frequency: float, harmonic_order: int
@@ -479,7 +492,8 @@ class SolvedCases:
         """Return complex amplitudes of a harmonic at all grid nodes: (n,) [m].
 
         An amplitude a - i b means a cos + b sin. Cases with fewer harmonics have 0, failed cases
-        nan. ``point_name`` is as "tip.ux", or "" for the load's point; the load frequency is in Hz.
+        nan. ``measured_point_name`` is as "tip.ux", or "" for the load's point; the load frequency
+        is in Hz.
         """
         column_prefix = f"{point_name}." if point_name else ""
         cosine_amplitudes, sine_amplitudes = (
@@ -487,9 +501,9 @@ class SolvedCases:
             for part_name in ("cosine", "sine")
         )
         load_index = self.find_load_index(load_frequency)
-        is_missing = self.get_column("harmonics")[:, load_index] < harmonic_order
+        has_too_few_harmonics = self.get_column("harmonics")[:, load_index] < harmonic_order
         complex_amplitudes = np.where(
-            is_missing, 0.0, (cosine_amplitudes - 1j * sine_amplitudes)[:, load_index]
+            has_too_few_harmonics, 0.0, (cosine_amplitudes - 1j * sine_amplitudes)[:, load_index]
         )
         return np.where(
             self.get_column("state")[:, load_index] == CaseState.CONVERGED,
@@ -531,7 +545,7 @@ class SolvedCases:
         return solved_frequencies.index(load_frequency)
 
     @cached_property
-    def frequency_split_root_and_frequencies(self) -> np.ndarray:
+    def crack_split_root_and_frequencies(self) -> np.ndarray:
         """Return sqrt(s) and natural frequencies, for the poles of harmonics.
 
         The array (n, n_loads, 1 + 2 modes) is for n grid nodes, all combinations of the unknowns.
@@ -558,13 +572,13 @@ class SolvedCases:
                 * (bonded_frequencies[..., :1] / bonded_frequencies) ** 2
             )
             split_sum = np.nan_to_num(mode_splits, posinf=0.0, neginf=0.0).sum(axis=2)
-        split_root = np.where(split_sum > 1e-9, np.sqrt(np.abs(split_sum)), 1.0)
+        root_of_crack_split = np.where(split_sum > 1e-9, np.sqrt(np.abs(split_sum)), 1.0)
         return np.concatenate(
-            [split_root[..., None], bilinear_frequencies, uncracked_frequencies], axis=2
+            [root_of_crack_split[..., None], bilinear_frequencies, uncracked_frequencies], axis=2
         )
 
 
-RESONANCE_STATE_NAMES = ("bilinear", "open", "tied")
+CRACK_STATES_AT_RESONANCE = ("bilinear", "open", "tied")
 """Motion of the crack faces at a resonance: breathing, always open, always closed."""
 
 
@@ -579,7 +593,7 @@ class Feature:
         harmonic.
     mode : int
         Mode number from 1; 0 for a harmonic.
-    point_name : str
+    measured_point_name : str
         Point and direction of a harmonic, as "tip.ux"; "" for the load's point.
     load_frequency : float [Hz]
         Load frequency. A natural frequency is at the rotor speed of this load; 0 stands for the
@@ -590,7 +604,7 @@ class Feature:
 
     crack_state: str = ""
     mode: int = 0
-    point_name: str = ""
+    measured_point_name: str = ""
     load_frequency: float = 0.0
     harmonic_order: int = 0
 
@@ -601,11 +615,11 @@ class Feature:
         """List the features from which a measurement is predicted.
 
         For a ratio of harmonics the numerator comes first. A resonance has the three frequencies of
-        :data:`RESONANCE_STATE_NAMES`, a displacement all harmonics.
+        :data:`CRACK_STATES_AT_RESONANCE`, a displacement all harmonics.
         """
         if measurement.is_natural_frequency:
             state_name = measurement.quantity.removeprefix("frequency_")
-            crack_states = RESONANCE_STATE_NAMES if state_name == "resonance" else (state_name,)
+            crack_states = CRACK_STATES_AT_RESONANCE if state_name == "resonance" else (state_name,)
             return tuple(
                 cls(
                     crack_state,
@@ -614,7 +628,7 @@ class Feature:
                 )
                 for crack_state in crack_states
             )
-        harmonic_orders = measurement.harmonic_orders or STORED_HARMONIC_ORDERS
+        harmonic_orders = measurement.harmonic_orders_of_quantity or STORED_HARMONIC_ORDERS
         return tuple(
             cls("", 0, measurement.point, measurement.get_load_frequency(scene), harmonic_order)
             for harmonic_order in harmonic_orders
@@ -650,15 +664,15 @@ class Feature:
             ]
             return np.log(frequencies).astype(complex)
         return solved_cases.get_harmonic_amplitudes(
-            self.point_name, self.load_frequency, self.harmonic_order
+            self.measured_point_name, self.load_frequency, self.harmonic_order
         )
 
     @property
-    def split_exponent(self) -> int:
+    def crack_split_exponent(self) -> int:
         """Return the exponent n of a feature that is proportional to s^n for short cracks.
 
         The split s measures how much the crack changes the stiffness
-        (:attr:`SolvedCases.frequency_split_root_and_frequencies`). n is 1 for even harmonics, and 2
+        (:attr:`SolvedCases.crack_split_root_and_frequencies`). n is 1 for even harmonics, and 2
         for odd harmonics above the first. n is 0 for the first harmonic and natural frequencies.
         """
         return 1 + self.harmonic_order % 2 if self.harmonic_order > 1 else 0
@@ -674,10 +688,10 @@ class Feature:
         return self.crack_state in ("open", "tied", "bilinear")
 
 
-def compute_ratios_and_pole_factors(
+def find_frequency_ratios_and_pole_factors(
     features: Sequence[Feature],
     damping_ratio_of_points: np.ndarray,
-    frequency_split_root_and_frequencies: np.ndarray,
+    crack_split_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return frequency ratios r and pole factors, for each mode: (m, f, modes) each.
 
@@ -691,10 +705,10 @@ def compute_ratios_and_pole_factors(
         f natural frequencies and harmonics.
     damping_ratio_of_points : (m, 1)
         Damping ratios z at m values of the unknowns.
-    frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
+    crack_split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature.
     """
-    mode_frequencies = frequency_split_root_and_frequencies[..., STORED_MODE_NUMBERS]
+    mode_frequencies = crack_split_root_and_frequencies[..., STORED_MODE_NUMBERS]
     harmonic_frequencies = np.array(
         [feature.harmonic_order * feature.load_frequency for feature in features]
     )
@@ -718,13 +732,15 @@ def compute_log_factors_by_first_harmonic(
     each of f features. The result has the same shape; first harmonics and natural frequencies get
     0.
     """
-    harmonic_orders = np.array(
+    higher_harmonic_order_or_zero = np.array(
         [feature.harmonic_order if feature.harmonic_order > 1 else 0 for feature in features]
     )
-    harmonic_orders = harmonic_orders.reshape(-1, *np.ones(first_harmonic_logs.ndim - 2, dtype=int))
+    higher_harmonic_order_or_zero = higher_harmonic_order_or_zero.reshape(
+        -1, *np.ones(first_harmonic_logs.ndim - 2, dtype=int)
+    )
     return (
-        np.where(harmonic_orders > 0, first_harmonic_logs.real, 0.0)
-        + 1j * harmonic_orders * first_harmonic_logs.imag
+        np.where(higher_harmonic_order_or_zero > 0, first_harmonic_logs.real, 0.0)
+        + 1j * higher_harmonic_order_or_zero * first_harmonic_logs.imag
     )
 
 
@@ -732,7 +748,7 @@ def replace_by_driving_first_harmonics(features: Sequence[Feature]) -> list[Feat
     """Replace each higher harmonic by the first harmonic at the same point and load.
 
     Natural frequencies and first harmonics get the harmonic order 0. For this order
-    :func:`compute_ratios_and_pole_factors` returns the ratio 0 and the factor 1.
+    :func:`find_frequency_ratios_and_pole_factors` returns the ratio 0 and the factor 1.
     """
     return [
         replace(feature, harmonic_order=int(feature.harmonic_order > 1)) for feature in features
@@ -742,7 +758,7 @@ def replace_by_driving_first_harmonics(features: Sequence[Feature]) -> list[Feat
 def compute_smoothing_factors(
     features: Sequence[Feature],
     damping_ratio_of_points: np.ndarray,
-    frequency_split_root_and_frequencies: np.ndarray,
+    crack_split_root_and_frequencies: np.ndarray,
     relative_crack_sizes: np.ndarray,
 ) -> np.ndarray:
     """Return factors that make features smooth functions of the unknowns: (m, f).
@@ -758,22 +774,24 @@ def compute_smoothing_factors(
         f natural frequencies and harmonics.
     damping_ratio_of_points : (m, 1)
         Damping ratios at m values of the unknowns.
-    frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
+    crack_split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature.
     relative_crack_sizes : (m,)
         Crack sizes, 1 for the largest crack.
     """
-    split_exponents = np.array([feature.split_exponent for feature in features])
+    split_exponents = np.array([feature.crack_split_exponent for feature in features])
     is_cracked_frequency = np.array([feature.is_cracked_frequency for feature in features])
-    harmonic_factors = compute_ratios_and_pole_factors(
-        features, damping_ratio_of_points, frequency_split_root_and_frequencies
-    )[1].prod(axis=2) / frequency_split_root_and_frequencies[..., 0] ** (2 * split_exponents)
-    first_harmonic_pole_factors = compute_ratios_and_pole_factors(
+    smoothing_factors_of_harmonics = find_frequency_ratios_and_pole_factors(
+        features, damping_ratio_of_points, crack_split_root_and_frequencies
+    )[1].prod(axis=2) / crack_split_root_and_frequencies[..., 0] ** (2 * split_exponents)
+    first_harmonic_pole_factors = find_frequency_ratios_and_pole_factors(
         replace_by_driving_first_harmonics(features),
         damping_ratio_of_points,
-        frequency_split_root_and_frequencies,
+        crack_split_root_and_frequencies,
     )[1].prod(axis=2)
-    harmonic_factors = harmonic_factors * np.exp(
+    smoothing_factors_of_harmonics = smoothing_factors_of_harmonics * np.exp(
         compute_log_factors_by_first_harmonic(np.log(first_harmonic_pole_factors), features)
     )
-    return np.where(is_cracked_frequency, 1.0 / relative_crack_sizes[:, None], harmonic_factors)
+    return np.where(
+        is_cracked_frequency, 1.0 / relative_crack_sizes[:, None], smoothing_factors_of_harmonics
+    )

@@ -14,17 +14,21 @@ import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.basics.errors import (
-    N_FREQUENCIES_PER_CRACK_STATE,
+    N_NATURAL_MODES_PER_CRACK_STATE,
     InputError,
     check_choice,
     check_count,
     check_number,
     report_read_errors,
 )
-from fenics_crack.basics.suggestions import check_calls, fit_argument_to_annotation, with_old_names
+from fenics_crack.basics.suggestions import (
+    check_argument_class_or_unwrap_run,
+    check_calls,
+    keep_old_attribute_names,
+)
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Tabular, format_count
 from fenics_crack.basics.untrusted_files import convert_heading_to_si, read_numbered_csv_rows
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
 from fenics_crack.scene.fields import (
     MAX_ALLOWED_MAGNITUDE,
     MIN_ALLOWED_MAGNITUDE,
@@ -69,10 +73,14 @@ UNIVERSAL_FILE_SUFFIXES = (".uff", ".unv")
 """Suffixes of universal files, with frequency responses."""
 
 
-@with_old_names(
-    natural="is_natural_frequency", resonance="is_resonant", shape="depends_on_shape_alone",
+@keep_old_attribute_names(
+    natural="is_natural_frequency", resonance="is_resonant", shape="is_independent_of_load_size",
     orders="harmonic_orders", load="get_load_frequency",
 )  # fmt: skip
+@keep_old_attribute_names(
+    depends_on_shape_alone="is_independent_of_load_size",
+    harmonic_orders="harmonic_orders_of_quantity",
+)
 @dataclass(frozen=True)
 class Measurement:
     """One measured number.
@@ -124,20 +132,22 @@ class Measurement:
     temperature: float = math.nan
 
     def __post_init__(self) -> None:
-        quantity_names = (
+        allowed_quantity_names = (
             *(f"frequency_{state_name}" for state_name in NATURAL_FREQUENCY_STATE_NAMES),
             *HARMONIC_LOAD_QUANTITY_NAMES,
         )
-        check_choice("measurements.quantity", self.quantity, quantity_names)
+        check_choice("measurements.quantity", self.quantity, allowed_quantity_names)
         is_displacement = self.quantity == "displacement"
         check_number("measurements.value", self.value, -math.inf if is_displacement else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, excludes_bound=True)
         if self.is_natural_frequency:
             if not (
-                isinstance(self.mode, Integral) and 1 <= self.mode <= N_FREQUENCIES_PER_CRACK_STATE
+                isinstance(self.mode, Integral)
+                and 1 <= self.mode <= N_NATURAL_MODES_PER_CRACK_STATE
             ):
                 allowed_text = (
-                    f"a whole number from 1 to {N_FREQUENCIES_PER_CRACK_STATE} with {self.quantity}"
+                    f"a whole number from 1 to {N_NATURAL_MODES_PER_CRACK_STATE} with "
+                    f"{self.quantity}"
                 )
                 raise InputError("measurements.mode", self.mode, allowed_text)
         else:
@@ -188,7 +198,7 @@ class Measurement:
         return self.quantity == "frequency_resonance"
 
     @property
-    def depends_on_shape_alone(self) -> bool:
+    def is_independent_of_load_size(self) -> bool:
         """Return True if the measurement does not depend on the load's size.
 
         Ratios do not depend on the size. For displacements the size is fitted, so the result is
@@ -197,7 +207,7 @@ class Measurement:
         return not self.is_natural_frequency and not self.quantity.startswith("harmonic")
 
     @property
-    def harmonic_orders(self) -> tuple[int, ...]:
+    def harmonic_orders_of_quantity(self) -> tuple[int, ...]:
         """Return the orders of the harmonics from which the quantity is computed.
 
         For a ratio, the numerator's order comes first. The tuple is empty for natural frequencies,
@@ -212,8 +222,8 @@ class Measurement:
             speed_text = "" if math.isnan(self.rpm) else f" at {self.rpm:g} rpm"
             return f"{self.quantity} of mode {self.mode}{speed_text}"
         point_text = f" of {self.point}" if self.point else ""
-        phase_text = "" if math.isnan(self.phase) else f" and {self.phase:.3g} rad"
-        return f"{self.quantity} at {self.frequency:g} Hz{phase_text}{point_text}"
+        phase_in_radians_text = "" if math.isnan(self.phase) else f" and {self.phase:.3g} rad"
+        return f"{self.quantity} at {self.frequency:g} Hz{phase_in_radians_text}{point_text}"
 
     def get_load_frequency(self, scene: Scene) -> float:
         """Return the load frequency [Hz] of the case that predicts this measurement.
@@ -245,8 +255,8 @@ class Measurement:
         Reasons are a rotor speed without an engine order, an unknown point, a crack that cannot be
         removed, and too few harmonics.
         """
-        point_names = scene.label_by_point_name
-        highest_order = max(self.harmonic_orders, default=0)
+        point_names = scene.label_by_displacement_name
+        highest_order_of_measurement = max(self.harmonic_orders_of_quantity, default=0)
         n_harmonics = scene.harmonic_balance.harmonics
         for is_unfit, key, key_value, allowed_text in (
             (
@@ -270,10 +280,10 @@ class Measurement:
                 "give that of the part without a crack as identify.uncracked",
             ),
             (
-                n_harmonics < highest_order,
+                n_harmonics < highest_order_of_measurement,
                 "harmonic_balance.harmonics",
                 n_harmonics,
-                f"at least {highest_order} for {self.quantity}",
+                f"at least {highest_order_of_measurement} for {self.quantity}",
             ),
         ):
             if is_unfit:
@@ -293,7 +303,7 @@ class Measurements(Tabular):
     rows: tuple[Measurement, ...]
 
     def __post_init__(self) -> None:
-        fit_argument_to_annotation("measurements", self.rows, "Iterable", ())
+        check_argument_class_or_unwrap_run("measurements", self.rows, "Iterable", ())
         object.__setattr__(self, "rows", tuple(self.rows))
         if not self.rows or not all(
             isinstance(measurement, Measurement) for measurement in self.rows
@@ -301,18 +311,20 @@ class Measurements(Tabular):
             raise InputError(
                 "measurements", list(self.rows), "a list of at least one fc.Measurement"
             )
-        if len(self.rows) > IDENTIFICATION_OPTIONS.max_measurements:
-            limit_text = f"at most {IDENTIFICATION_OPTIONS.max_measurements} rows"
-            allowed_text = f"{limit_text}; replace repeated measurements by their mean"
+        if len(self.rows) > IDENTIFICATION_SETTINGS.max_measurements:
+            row_limit_text = f"at most {IDENTIFICATION_SETTINGS.max_measurements} rows"
+            allowed_text = f"{row_limit_text}; replace repeated measurements by their mean"
             raise InputError("measurements", f"{len(self.rows)} rows", allowed_text)
         values_by_name: dict[str, list[float]] = {}
         for measurement in self.rows:
             if measurement.quantity != "displacement":
                 values_by_name.setdefault(measurement.name, []).append(measurement.value)
-        for measurement_name, values in values_by_name.items():
-            if len(values) > 1:
+        for measurement_name, values_of_same_name in values_by_name.items():
+            if len(values_of_same_name) > 1:
                 allowed_text = "one value: give the mean, and the standard deviation of the mean"
-                raise InputError(f"measurements, {measurement_name}", values, allowed_text)
+                raise InputError(
+                    f"measurements, {measurement_name}", values_of_same_name, allowed_text
+                )
 
     @classmethod
     def from_arrays(
@@ -341,7 +353,7 @@ class Measurements(Tabular):
         InputError
             A value cannot be used, or the lengths differ.
         """
-        fit_argument_to_annotation("values", values, "Iterable", ())
+        check_argument_class_or_unwrap_run("values", values, "Iterable", ())
         n_values = len(values)
         deviation_column = (
             deviations if isinstance(deviations, Iterable) else [deviations] * n_values
@@ -432,8 +444,10 @@ class Measurements(Tabular):
         probe_statistics = ProbeMeans(arrivals, 1, float(order), angle_deviation)
         probe_place_deviation = arrivals.tip_radius * angle_deviation
         if noise is not None:
-            mean_angle_deviations = rotor_speed * noise / np.sqrt(n_arrivals_of_probes)
-            deviations = arrivals.tip_radius * np.hypot(mean_angle_deviations, angle_deviation)
+            deviations_of_mean_arrival_angle = rotor_speed * noise / np.sqrt(n_arrivals_of_probes)
+            displacement_deviations = arrivals.tip_radius * np.hypot(
+                deviations_of_mean_arrival_angle, angle_deviation
+            )
         elif probe_statistics.scatter <= arrivals.displacement_rounding:
             raise InputError("noise", None, "given in s, since these arrivals have no scatter")
         elif np.isnan(
@@ -441,16 +455,19 @@ class Measurements(Tabular):
                 probe_statistics.covariance_degrees_of_freedom
             )
         ):
-            arrivals_text = format_count(int(n_arrivals_of_probes.sum()), "arrival")
-            probes_text = format_count(len(n_arrivals_of_probes), "probe")
+            arrival_count_text = format_count(int(n_arrivals_of_probes.sum()), "arrival")
+            probe_count_text = format_count(len(n_arrivals_of_probes), "probe")
             allowed_text = (
-                f"given in s, since {arrivals_text} at {probes_text} are too few to estimate it"
+                f"given in s, since {arrival_count_text} at {probe_count_text} are too few to "
+                f"estimate it"
             )
             raise InputError("noise", None, allowed_text)
         else:
-            displacement_variances = np.diag(probe_statistics.covariance) - probe_place_deviation**2
-            deviations = np.sqrt(
-                variance_factor * displacement_variances + probe_place_deviation**2
+            variances_of_mean_displacements = (
+                np.diag(probe_statistics.covariance) - probe_place_deviation**2
+            )
+            displacement_deviations = np.sqrt(
+                variance_factor * variances_of_mean_displacements + probe_place_deviation**2
             )
         # Rounded, so that arrivals at nearly the same speed share a sweep.
         load_frequency = float(f"{order * rotor_speed / RAD_PER_TURN:.9g}")
@@ -460,7 +477,7 @@ class Measurements(Tabular):
         return cls.from_arrays(
             "displacement",
             displacements.tolist(),
-            deviations.tolist(),
+            displacement_deviations.tolist(),
             phase=(order * probe_statistics.angles % RAD_PER_TURN).tolist(),
             frequency=[load_frequency] * len(n_arrivals_of_probes),
             point=[point] * len(n_arrivals_of_probes),
@@ -561,7 +578,7 @@ class Measurements(Tabular):
         with report_read_errors("measurements", path, "a universal file with frequency responses"):
             responses = read_responses(Path(path))
         mode_rows = fit_resonances(responses)[
-            : N_FREQUENCIES_PER_CRACK_STATE if not modes else None
+            : N_NATURAL_MODES_PER_CRACK_STATE if not modes else None
         ]
         mode_numbers = list(modes) or list(range(1, len(mode_rows) + 1))
         if len(mode_numbers) != len(mode_rows):
@@ -584,8 +601,8 @@ class Measurements(Tabular):
         Files that end in .uff or .unv are universal files (:meth:`from_responses`, with ``modes``);
         others are tables (:meth:`from_csv`).
         """
-        is_universal = Path(path).suffix.lower() in UNIVERSAL_FILE_SUFFIXES
-        return cls.from_responses(path, modes) if is_universal else cls.from_csv(path)
+        is_universal_file = Path(path).suffix.lower() in UNIVERSAL_FILE_SUFFIXES
+        return cls.from_responses(path, modes) if is_universal_file else cls.from_csv(path)
 
     def check(self, scene: Scene) -> None:
         """Raise InputError if a measurement does not fit a scene.
@@ -659,7 +676,7 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
     with report_read_errors("measurements", path, "a CSV file"):
         (_, heading_cells), *numbered_table_rows = read_numbered_csv_rows(path) or [(0, [])]
     numbered_table_rows = numbered_table_rows[
-        : IDENTIFICATION_OPTIONS.max_measurements + 1
+        : IDENTIFICATION_SETTINGS.max_measurements + 1
     ]  # one row too many suffices for the error
     # Units of values and deviations depend on the quantity of the row.
     si_headings_and_factors = [

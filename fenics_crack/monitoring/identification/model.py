@@ -28,7 +28,7 @@ from fenics_crack.monitoring.identification.interpolation import (
 from fenics_crack.monitoring.identification.nuisance import (
     CRACK_SIZE_KEYS,
     UncrackedPlate,
-    compute_deviations_from_equivalent_crack,
+    compute_crack_geometry_deviations,
 )
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.key_figures import is_response_proportional_to_load
@@ -46,7 +46,7 @@ class ForwardModel:
     coarse_finer_halfway_cases : three SolvedCases or None
         Solved cases on the grid of the unknowns, on a finer mesh, and halfway between the values of
         the grid. The last two may be None.
-    word_by_key : dict of str to object
+    text_value_by_unknown_key : dict of str to object
         Values of the unknowns with text values, such as "left" for crack.edge.
     """
 
@@ -56,17 +56,17 @@ class ForwardModel:
         uncracked_plate: UncrackedPlate,
         coarse_finer_halfway_cases: Sequence[SolvedCases | None],
         *,
-        word_by_key: Mapping[str, Any],
+        text_value_by_unknown_key: Mapping[str, Any],
     ) -> None:
         self.scene = scene
         self.identify_table = scene.given("identify")
         self.uncracked_plate = uncracked_plate
-        coarse_cases, self.finer_cases, self.halfway_cases = coarse_finer_halfway_cases
-        assert coarse_cases is not None
-        self.coarse_cases = coarse_cases
-        self.word_by_key = dict(word_by_key)
-        self.unknown_keys = coarse_cases.unknown_keys
-        self.unknown_grid = coarse_cases.unknown_grid
+        coarse_mesh_cases, self.finer_mesh_cases, self.halfway_cases = coarse_finer_halfway_cases
+        assert coarse_mesh_cases is not None
+        self.coarse_mesh_cases = coarse_mesh_cases
+        self.text_value_by_unknown_key = dict(text_value_by_unknown_key)
+        self.unknown_keys = coarse_mesh_cases.unknown_keys
+        self.unknown_grid = coarse_mesh_cases.unknown_grid
 
     def get_damping_ratio_of_points(self, x: np.ndarray) -> np.ndarray:
         """Return the damping ratio at m values x (m, d) of the unknowns: (m, 1).
@@ -105,13 +105,13 @@ class ForwardModel:
             )
         )
 
-    def compute_deviations_from_equivalent_crack(self, x: np.ndarray) -> np.ndarray:
+    def compute_crack_geometry_deviations(self, x: np.ndarray) -> np.ndarray:
         """Return standard deviations of a real crack about its equivalent crack: (m, d).
 
         The equivalent crack is straight and sharp, and has the same effect on vibration. ``x`` (m,
         d) has m values of the unknowns.
         """
-        return compute_deviations_from_equivalent_crack(x, self.unknown_keys, self.scene)
+        return compute_crack_geometry_deviations(x, self.unknown_keys, self.scene)
 
 
 class FeaturePrediction(NamedTuple):
@@ -124,24 +124,24 @@ class FeaturePrediction(NamedTuple):
     ----------
     damping_ratio_of_points : (m, 1)
         Damping ratios.
-    frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
-    smoothing_factors : (m, f)
+    crack_split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature.
+    interpolation_smoothing_factors : (m, f)
         Smoothing factors (:func:`compute_smoothing_factors`).
     feature_values : (m, f)
         Logarithms of natural frequencies [Hz], and complex harmonics [m].
     interpolation_variances : (m, f)
         Variances of the features due to interpolation.
-    smooth_form_covariance : (m, 2f, 2f)
+    covariance_of_smooth_features : (m, 2f, 2f)
         Covariance of the smooth forms; real and imaginary parts alternate.
     """
 
     damping_ratio_of_points: np.ndarray
-    frequency_split_root_and_frequencies: np.ndarray
-    smoothing_factors: np.ndarray
+    crack_split_root_and_frequencies: np.ndarray
+    interpolation_smoothing_factors: np.ndarray
     feature_values: np.ndarray
     interpolation_variances: np.ndarray
-    smooth_form_covariance: np.ndarray
+    covariance_of_smooth_features: np.ndarray
 
 
 class FeaturePredictor:
@@ -152,14 +152,14 @@ class FeaturePredictor:
     features : tuple of Feature
         f features: first the requested features. Then, for each natural frequency with the crack,
         the frequency of the same mode without the crack.
-    is_known : (f,) bool
+    is_feature_predictable : (f,) bool
         True for a feature that the solved cases can predict.
-    cracked_frequency_indices : list of int
+    cracked_frequency_feature_indices : list of int
         Indices of the natural frequencies with the crack.
-    uncracked_frequency_indices : list of int
-        For each of ``cracked_frequency_indices``, index of the same mode's frequency without the
-        crack.
-    load_indices : list of int
+    uncracked_frequency_feature_indices : list of int
+        For each of ``cracked_frequency_feature_indices``, index of the same mode's frequency
+        without the crack.
+    solved_load_index_per_feature : list of int
         For each feature, index of its load among the solved loads.
     """
 
@@ -171,69 +171,72 @@ class FeaturePredictor:
         ]
         self.model = model
         self.features = tuple(dict.fromkeys([*features, *uncracked_features]))
-        self.cracked_frequency_indices = [
+        self.cracked_frequency_feature_indices = [
             feature_index
             for feature_index, feature in enumerate(self.features)
             if feature.is_cracked_frequency
         ]
-        self.uncracked_frequency_indices = [
-            self.features.index(self.features[cracked_index].uncracked_frequency_feature)
-            for cracked_index in self.cracked_frequency_indices
+        self.uncracked_frequency_feature_indices = [
+            self.features.index(self.features[cracked_feature_index].uncracked_frequency_feature)
+            for cracked_feature_index in self.cracked_frequency_feature_indices
         ]
-        coarse_cases = model.coarse_cases
-        self.load_indices = [
-            coarse_cases.find_load_index(feature.load_frequency) for feature in self.features
+        coarse_mesh_cases = model.coarse_mesh_cases
+        self.solved_load_index_per_feature = [
+            coarse_mesh_cases.find_load_index(feature.load_frequency) for feature in self.features
         ]
         self._error_group_matrix = _build_error_group_matrix(self.features)
         self._mode_prior_sensitivities = np.stack(
             [
                 model.uncracked_plate.compute_prior_sensitivities(speed_ratio)
-                for speed_ratio in coarse_cases.swept_loads.rotor_speed_ratios
+                for speed_ratio in coarse_mesh_cases.swept_loads.rotor_speed_ratios
             ]
-        )[self.load_indices]
-        node_columns = coarse_cases.frequency_split_root_and_frequencies
-        self._split_root_and_frequency_interpolation = Interpolation(
-            model.unknown_grid, node_columns.reshape(len(node_columns), -1)
+        )[self.solved_load_index_per_feature]
+        split_and_frequencies_at_nodes = coarse_mesh_cases.crack_split_root_and_frequencies
+        self._interpolation_of_crack_split = Interpolation(
+            model.unknown_grid,
+            split_and_frequencies_at_nodes.reshape(len(split_and_frequencies_at_nodes), -1),
         )
-        self._coarse_interpolation = Interpolation(
-            model.unknown_grid, self._evaluate_smooth_features(coarse_cases)
+        self._coarse_mesh_interpolation = Interpolation(
+            model.unknown_grid, self._evaluate_smooth_features(coarse_mesh_cases)
         )
         self._interpolation_error_scales = self._estimate_interpolation_error_scales()
-        interpolations = [self._coarse_interpolation]
+        interpolations_of_meshes = [self._coarse_mesh_interpolation]
         # If elements smaller by a factor f change a quantity by d, an error of first order leaves
         # d / (f - 1), an error of high order nothing. The mean is added, and is the deviation, too.
         mesh_ratio = model.identify_table.finer
         self._remaining_mesh_fraction = 0.5 / max(mesh_ratio - 1.0, 1.0 / mesh_ratio - 1.0, 0.1)
         self._mesh_correction: Interpolation | None = None
-        if model.finer_cases is not None:
-            finer_grid = model.finer_cases.unknown_grid
+        if model.finer_mesh_cases is not None:
+            finer_mesh_unknown_grid = model.finer_mesh_cases.unknown_grid
             mesh_difference = self._evaluate_smooth_features(
-                model.finer_cases
-            ) - self._coarse_interpolation.interpolate(finer_grid.nodes)
-            self._mesh_correction = Interpolation(finer_grid, mesh_difference)
-            interpolations.append(self._mesh_correction)
+                model.finer_mesh_cases
+            ) - self._coarse_mesh_interpolation.interpolate(finer_mesh_unknown_grid.nodes)
+            self._mesh_correction = Interpolation(finer_mesh_unknown_grid, mesh_difference)
+            interpolations_of_meshes.append(self._mesh_correction)
         is_frequency_column = np.repeat(
             [feature.is_natural_frequency for feature in self.features], 2
         )
-        known_columns = [
-            interpolation.has_enough_known_nodes
-            & (interpolation.has_only_inner_gaps | is_frequency_column)
-            for interpolation in interpolations
+        predictable_column_masks = [
+            mesh_interpolation.has_enough_known_nodes
+            & (mesh_interpolation.has_only_inner_gaps | is_frequency_column)
+            for mesh_interpolation in interpolations_of_meshes
         ]
-        self.is_known = np.all(known_columns, axis=0).reshape(-1, 2).all(axis=1)
-        self.is_known[self.cracked_frequency_indices] &= self.is_known[
-            self.uncracked_frequency_indices
-        ]
+        self.is_feature_predictable = (
+            np.all(predictable_column_masks, axis=0).reshape(-1, 2).all(axis=1)
+        )
+        self.is_feature_predictable[self.cracked_frequency_feature_indices] &= (
+            self.is_feature_predictable[self.uncracked_frequency_feature_indices]
+        )
 
     def __call__(self, x: np.ndarray) -> FeaturePrediction:
         """Predict natural frequencies and harmonics at values x (m, d) of the unknowns.
 
         The covariance has the errors by interpolation, mesh, contact and priors.
         """
-        smooth_features = self._coarse_interpolation.interpolate(x)
+        smooth_features = self._coarse_mesh_interpolation.interpolate(x)
         interpolation_errors = (
             self._interpolation_error_scales
-            * self._coarse_interpolation.list_weighted_node_errors(x)
+            * self._coarse_mesh_interpolation.list_weighted_node_errors(x)
         )
         remaining_mesh_errors = np.zeros_like(smooth_features)
         if self._mesh_correction is not None:
@@ -244,29 +247,35 @@ class FeaturePredictor:
                 [interpolation_errors, self._mesh_correction.list_weighted_node_errors(x)], axis=1
             )
         damping_ratio_of_points = self.model.get_damping_ratio_of_points(x)
-        frequency_split_root_and_frequencies = self._interpolate_frequency_split_and_frequencies(x)
-        smoothing_factors = self._compute_smoothing_factors(x, frequency_split_root_and_frequencies)
+        crack_split_root_and_frequencies = self._interpolate_frequency_split_and_frequencies(x)
+        interpolation_smoothing_factors = self._compute_smoothing_factors(
+            x, crack_split_root_and_frequencies
+        )
         feature_values = (
             smooth_features[:, ::2] + 1j * smooth_features[:, 1::2]
-        ) / smoothing_factors
+        ) / interpolation_smoothing_factors
         prior_sensitivities = self.model.uncracked_plate.compute_feature_sensitivities(
             self.features,
             damping_ratio_of_points,
-            frequency_split_root_and_frequencies,
+            crack_split_root_and_frequencies,
             self._mode_prior_sensitivities,
         )
-        is_uncracked = np.array([feature.crack_state == "uncracked" for feature in self.features])
+        is_uncracked_feature = np.array(
+            [feature.crack_state == "uncracked" for feature in self.features]
+        )
         prior_errors = (
             prior_sensitivities
-            * np.where(is_uncracked, 1.0, feature_values * smoothing_factors)[..., None]
+            * np.where(is_uncracked_feature, 1.0, feature_values * interpolation_smoothing_factors)[
+                ..., None
+            ]
         )
-        feature_values[:, self.cracked_frequency_indices] += feature_values[
-            :, self.uncracked_frequency_indices
+        feature_values[:, self.cracked_frequency_feature_indices] += feature_values[
+            :, self.uncracked_frequency_feature_indices
         ]
-        squared_errors = np.sum(interpolation_errors**2, axis=1)
-        feature_errors = np.concatenate(
+        squared_interpolation_errors = np.sum(interpolation_errors**2, axis=1)
+        independent_error_columns = np.concatenate(
             [
-                *_correlate_errors(interpolation_errors),
+                *_split_into_common_and_single_errors(interpolation_errors),
                 *self._list_mesh_and_contact_errors(smooth_features, remaining_mesh_errors),
                 split_complex_columns(prior_errors.transpose(0, 2, 1)).transpose(0, 2, 1),
             ],
@@ -274,14 +283,15 @@ class FeaturePredictor:
         )
         return FeaturePrediction(
             damping_ratio_of_points,
-            frequency_split_root_and_frequencies,
-            smoothing_factors,
+            crack_split_root_and_frequencies,
+            interpolation_smoothing_factors,
             feature_values,
-            (squared_errors[:, ::2] + squared_errors[:, 1::2]) / np.abs(smoothing_factors) ** 2,
-            feature_errors @ feature_errors.transpose(0, 2, 1),
+            (squared_interpolation_errors[:, ::2] + squared_interpolation_errors[:, 1::2])
+            / np.abs(interpolation_smoothing_factors) ** 2,
+            independent_error_columns @ independent_error_columns.transpose(0, 2, 1),
         )
 
-    def list_interpolation_covariances(self, x: np.ndarray) -> list[np.ndarray]:
+    def interpolation_covariances_per_unknown(self, x: np.ndarray) -> list[np.ndarray]:
         """Return covariances due to interpolation, an array (m, 2f, 2f) for each unknown.
 
         Each covariance belongs to the smooth forms of f features (:class:`FeaturePrediction`). The
@@ -289,13 +299,18 @@ class FeaturePredictor:
         unknowns.
         """
         covariances = []
-        for weighted_errors in self._coarse_interpolation.list_weighted_node_errors_along_axes(x)[
-            : x.shape[1]
-        ]:
-            feature_errors = np.concatenate(
-                _correlate_errors(self._interpolation_error_scales * weighted_errors), axis=2
+        for (
+            node_errors_along_axis
+        ) in self._coarse_mesh_interpolation.list_weighted_node_errors_along_axes(x)[: x.shape[1]]:
+            independent_error_columns = np.concatenate(
+                _split_into_common_and_single_errors(
+                    self._interpolation_error_scales * node_errors_along_axis
+                ),
+                axis=2,
             )
-            covariances.append(feature_errors @ feature_errors.transpose(0, 2, 1))
+            covariances.append(
+                independent_error_columns @ independent_error_columns.transpose(0, 2, 1)
+            )
         return covariances
 
     def _evaluate_smooth_features(self, solved_cases: SolvedCases) -> np.ndarray:
@@ -308,8 +323,8 @@ class FeaturePredictor:
         feature_values = np.stack(
             [feature.get_node_values(solved_cases) for feature in self.features], axis=1
         )
-        feature_values[:, self.cracked_frequency_indices] -= feature_values[
-            :, self.uncracked_frequency_indices
+        feature_values[:, self.cracked_frequency_feature_indices] -= feature_values[
+            :, self.uncracked_frequency_feature_indices
         ]
         return split_complex_columns(
             feature_values
@@ -333,14 +348,14 @@ class FeaturePredictor:
         x = halfway_cases.unknown_grid.nodes
         squared_errors = (
             self._evaluate_smooth_features(halfway_cases)
-            - self._coarse_interpolation.interpolate(x)
+            - self._coarse_mesh_interpolation.interpolate(x)
         ) ** 2
-        stated_variances = np.sum(
-            self._coarse_interpolation.list_weighted_node_errors(x) ** 2, axis=1
+        estimated_interpolation_variances = np.sum(
+            self._coarse_mesh_interpolation.list_weighted_node_errors(x) ** 2, axis=1
         )
         error_and_variance_sums = [
-            np.nansum(squared_error_columns, axis=0).reshape(-1, 2).sum(axis=1)
-            for squared_error_columns in (squared_errors, stated_variances)
+            np.nansum(squared_errors_or_variances, axis=0).reshape(-1, 2).sum(axis=1)
+            for squared_errors_or_variances in (squared_errors, estimated_interpolation_variances)
         ]
         with np.errstate(divide="ignore", invalid="ignore"):
             variance_ratios = np.where(
@@ -351,7 +366,7 @@ class FeaturePredictor:
         return np.repeat(np.sqrt(np.maximum(variance_ratios, 1.0)), 2)
 
     def _compute_smoothing_factors(
-        self, x: np.ndarray, frequency_split_root_and_frequencies: np.ndarray
+        self, x: np.ndarray, crack_split_root_and_frequencies: np.ndarray
     ) -> np.ndarray:
         """Return the factors that make f features smooth: (m, f).
 
@@ -362,32 +377,32 @@ class FeaturePredictor:
         ----------
         x : (m, d)
             m values of the unknowns.
-        frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
-            :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature, on
+        crack_split_root_and_frequencies : (m, f, 1 + 2 modes)
+            :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature, on
             the coarse mesh.
         """
         return compute_smoothing_factors(
             self.features,
             self.model.get_damping_ratio_of_points(x),
-            frequency_split_root_and_frequencies,
+            crack_split_root_and_frequencies,
             self.model.compute_crack_sizes_relative_to_largest(x),
         )
 
     def _interpolate_frequency_split_and_frequencies(self, x: np.ndarray) -> np.ndarray:
         """Interpolate the split and the frequencies for poles of harmonics: (m, f, 1 + 2 modes).
 
-        They are :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each of f
+        They are :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each of f
         features. ``x`` (m, d) has m values of the unknowns. Quantities without enough solved cases
         are nan.
         """
-        frequency_split_root_and_frequencies = np.where(
-            self._split_root_and_frequency_interpolation.has_enough_known_nodes,
-            self._split_root_and_frequency_interpolation.interpolate(x),
+        crack_split_root_and_frequencies = np.where(
+            self._interpolation_of_crack_split.has_enough_known_nodes,
+            self._interpolation_of_crack_split.interpolate(x),
             np.nan,
         )
-        return frequency_split_root_and_frequencies.reshape(
-            len(x), *self.model.coarse_cases.frequency_split_root_and_frequencies.shape[1:]
-        )[:, self.load_indices]
+        return crack_split_root_and_frequencies.reshape(
+            len(x), *self.model.coarse_mesh_cases.crack_split_root_and_frequencies.shape[1:]
+        )[:, self.solved_load_index_per_feature]
 
     def _list_mesh_and_contact_errors(
         self, smooth_features: np.ndarray, remaining_mesh_errors: np.ndarray
@@ -413,23 +428,28 @@ class FeaturePredictor:
         ]
         harmonic_deviation = self.model.identify_table.harmonic_deviation
         if harmonic_deviation:
-            order_excess = np.repeat(
+            harmonic_order_minus_one = np.repeat(
                 [max(feature.harmonic_order - 1, 0) for feature in self.features], 2
             )
             rotated_features = np.stack(
                 [-smooth_features[:, 1::2], smooth_features[:, ::2]], axis=2
             ).reshape(smooth_features.shape)
-            feature_membership_matrix = np.kron(np.eye(len(self.features)), np.ones((2, 1)))
-            for turned_features in (smooth_features, rotated_features):
-                contact_errors = harmonic_deviation * (turned_features * order_excess)[..., None]
+            feature_of_real_and_imaginary_part = np.kron(
+                np.eye(len(self.features)), np.ones((2, 1))
+            )
+            for original_or_rotated_features in (smooth_features, rotated_features):
+                contact_errors = (
+                    harmonic_deviation
+                    * (original_or_rotated_features * harmonic_order_minus_one)[..., None]
+                )
                 error_blocks += [
                     root_of_half * contact_errors * self._error_group_matrix,
-                    root_of_half * contact_errors * feature_membership_matrix,
+                    root_of_half * contact_errors * feature_of_real_and_imaginary_part,
                 ]
         return error_blocks
 
 
-def _correlate_errors(errors: np.ndarray) -> list[np.ndarray]:
+def _split_into_common_and_single_errors(errors: np.ndarray) -> list[np.ndarray]:
     """Split the variance of errors into a correlated half and an independent half.
 
     ``errors`` (m, k, 2f) has k independent errors of 2f smooth forms (:class:`FeaturePrediction`).

@@ -15,7 +15,7 @@ crack therefore calibrate the plate.
 An inclined crack acts like a straight crack at the height of the crack tip (0.87 to 1.11 times as
 much, for ten edge cracks inclined by 10 degrees). A wider or softer crack acts like a longer or
 shorter sharp crack. Measurements determine this equivalent crack; the real crack has a larger
-standard deviation (:func:`compute_deviations_from_equivalent_crack`).
+standard deviation (:func:`compute_crack_geometry_deviations`).
 
 Young's modulus E and density change the elastic part e_j of w_j^2, not the part by rotation:
 
@@ -55,7 +55,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import eigh
 
-from fenics_crack.basics.errors import N_FREQUENCIES_PER_CRACK_STATE, InputError
+from fenics_crack.basics.errors import N_NATURAL_MODES_PER_CRACK_STATE, InputError
 from fenics_crack.basics.ranks import MPI
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN
 from fenics_crack.fem.loads import rigid_motion_displacements
@@ -63,7 +63,7 @@ from fenics_crack.model.modes import Modes, multiply_columns, solve_modes
 from fenics_crack.monitoring.identification.interpolation import (
     Feature,
     compute_log_factors_by_first_harmonic,
-    compute_ratios_and_pole_factors,
+    find_frequency_ratios_and_pole_factors,
     replace_by_driving_first_harmonics,
 )
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
@@ -120,14 +120,15 @@ class UncrackedPlate:
             if scene.speed > 0.0
             else plate_modes.shapes
         )
-        gram_eigenvalues, gram_eigenvectors = eigh(
+        mode_gram_eigenvalues, mode_gram_eigenvectors = eigh(
             mode_shapes.T @ multiply_columns(plate_modes.structure.mass, mode_shapes)
         )
-        is_independent = (
-            gram_eigenvalues > np.sqrt(np.finfo(float).eps) * gram_eigenvalues[-1]
+        is_independent_motion = (
+            mode_gram_eigenvalues > np.sqrt(np.finfo(float).eps) * mode_gram_eigenvalues[-1]
         )  # independent motions
         orthonormal_basis = mode_shapes @ (
-            gram_eigenvectors[:, is_independent] / np.sqrt(gram_eigenvalues[is_independent])
+            mode_gram_eigenvectors[:, is_independent_motion]
+            / np.sqrt(mode_gram_eigenvalues[is_independent_motion])
         )
         rest_stiffness_times_basis = multiply_columns(
             modes_at_rest.structure.stiffness, orthonormal_basis
@@ -166,7 +167,7 @@ class UncrackedPlate:
             modulus_ratio * self.elastic_and_rotation_stiffness[0]
             + speed_ratio**2 * self.elastic_and_rotation_stiffness[1]
         )
-        n_modes = min(N_FREQUENCIES_PER_CRACK_STATE, len(squared_omega))
+        n_modes = min(N_NATURAL_MODES_PER_CRACK_STATE, len(squared_omega))
         return np.sqrt(np.maximum(squared_omega[:n_modes], 0.0)), mode_vectors[:, :n_modes]
 
     def compute_elastic_fractions(self, speed_ratio: float) -> np.ndarray:
@@ -245,7 +246,7 @@ class UncrackedPlate:
         self,
         features: Sequence[Feature],
         damping_ratio_of_points: np.ndarray,
-        frequency_split_root_and_frequencies: np.ndarray,
+        crack_split_root_and_frequencies: np.ndarray,
         mode_sensitivities: np.ndarray,
     ) -> np.ndarray:
         """Return relative changes of features by uncertain properties: (m, f, s + n + 1).
@@ -262,43 +263,44 @@ class UncrackedPlate:
             f natural frequencies and harmonics.
         damping_ratio_of_points : (m, 1)
             Damping ratios at m values of the unknowns.
-        frequency_split_root_and_frequencies : (m, f, 1 + 2 n)
-            :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
+        crack_split_root_and_frequencies : (m, f, 1 + 2 n)
+            :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature.
         mode_sensitivities : (f, n, s)
             :meth:`compute_prior_sensitivities` at the rotor speed of each feature.
         """
         identify_table, n_modes = self.identify_table, mode_sensitivities.shape[1]
         is_natural_frequency, is_cracked_frequency = (
-            np.array([getattr(feature, attribute_name) for feature in features])[:, None]
-            for attribute_name in ("is_natural_frequency", "is_cracked_frequency")
+            np.array([getattr(feature, feature_flag_name) for feature in features])[:, None]
+            for feature_flag_name in ("is_natural_frequency", "is_cracked_frequency")
         )
         mode_numbers = np.array([feature.mode for feature in features])[:, None]
-        slope_shape = len(frequency_split_root_and_frequencies), len(mode_numbers), n_modes
+        slope_shape = len(crack_split_root_and_frequencies), len(mode_numbers), n_modes
         slopes_by_mode = np.broadcast_to(
             is_natural_frequency & (mode_numbers == 1 + np.arange(n_modes)), slope_shape
         )
         with np.errstate(invalid="ignore"):
             log_bilinear_frequencies, log_uncracked_frequencies = np.split(
-                np.log(frequency_split_root_and_frequencies[..., 1:]), 2, axis=2
+                np.log(crack_split_root_and_frequencies[..., 1:]), 2, axis=2
             )
         log_frequency_shifts_by_crack = np.nan_to_num(
             log_bilinear_frequencies - log_uncracked_frequencies
         )[..., :n_modes]
         pole_slopes, damping_slopes = _differentiate_harmonic_logs(
-            features, damping_ratio_of_points, frequency_split_root_and_frequencies
+            features, damping_ratio_of_points, crack_split_root_and_frequencies
         )
-        first_pole_slopes, first_damping_slopes = _differentiate_harmonic_logs(
+        first_harmonic_pole_slopes, first_harmonic_damping_slopes = _differentiate_harmonic_logs(
             replace_by_driving_first_harmonics(features),
             damping_ratio_of_points,
-            frequency_split_root_and_frequencies,
+            crack_split_root_and_frequencies,
         )
         pole_slopes = (
-            pole_slopes + compute_log_factors_by_first_harmonic(first_pole_slopes, features)
+            pole_slopes
+            + compute_log_factors_by_first_harmonic(first_harmonic_pole_slopes, features)
         )[..., :n_modes]
         damping_slopes = damping_slopes + compute_log_factors_by_first_harmonic(
-            first_damping_slopes, features
+            first_harmonic_damping_slopes, features
         )
-        slopes_by_crack = np.where(
+        slopes_by_crack_effect_on_modes = np.where(
             is_natural_frequency,
             slopes_by_mode * is_cracked_frequency,
             pole_slopes * log_frequency_shifts_by_crack,
@@ -317,7 +319,7 @@ class UncrackedPlate:
         sensitivity_blocks = [
             np.einsum("mfn,fns->mfs", slopes_by_mode * ~is_cracked_frequency, mode_sensitivities)
             + ~is_natural_frequency * harmonic_size_changes,
-            independent_crack_deviation * slopes_by_crack,
+            independent_crack_deviation * slopes_by_crack_effect_on_modes,
             (0.0 if is_damping_unknown else identify_table.damping_deviation)
             * damping_slopes.sum(axis=2, keepdims=True),
         ]
@@ -362,7 +364,7 @@ class UncrackedPlate:
         identify_table = self.identify_table
         elastic_fractions = self.compute_elastic_fractions(speed_ratio)
         identity_matrix = np.eye(len(elastic_fractions))
-        clamp_sensitivities = np.column_stack(
+        frequency_changes_by_clamp = np.column_stack(
             [
                 self.compute_clamp_sensitivities(speed_ratio),
                 1.0 - elastic_fractions,
@@ -370,14 +372,14 @@ class UncrackedPlate:
             ]
         )
         changes_per_kelvin = 0.5 * identify_table.temperature_coefficient * elastic_fractions
-        rotation_uncertainties = (
+        deviations_of_changes_per_kelvin = (
             identify_table.stiffening_deviation
             * (1.0 - elastic_fractions)
             * changes_per_kelvin
             * identity_matrix
         )
-        return identify_table.before_deviation * clamp_sensitivities, np.column_stack(
-            [changes_per_kelvin, rotation_uncertainties]
+        return identify_table.before_deviation * frequency_changes_by_clamp, np.column_stack(
+            [changes_per_kelvin, deviations_of_changes_per_kelvin]
         )
 
     def check_units_and_modes(
@@ -412,7 +414,7 @@ class UncrackedPlate:
                     f"so that the value seems to be in {unit_name}"
                 )
                 raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed_text)
-        rows = [
+        natural_frequency_rows = [
             row
             for row in measurements.rows
             if row.is_natural_frequency
@@ -420,39 +422,53 @@ class UncrackedPlate:
             and row.mode <= len(self.natural_frequencies_hz)
         ]
         plate_frequencies_of_rows = []
-        for row in rows:
+        for row in natural_frequency_rows:
             speed_ratio = (
                 1.0 if np.isnan(row.rpm) else RAD_PER_S_PER_RPM * row.rpm / self.rotor_speed
             )
             plate_frequencies_of_rows.append(self.solve_modes_at(speed_ratio)[0] / RAD_PER_TURN)
         guessed_unit_names = [
             _guess_frequency_unit_or_empty(row.value / plate_frequencies[row.mode - 1])
-            for row, plate_frequencies in zip(rows, plate_frequencies_of_rows, strict=True)
+            for row, plate_frequencies in zip(
+                natural_frequency_rows, plate_frequencies_of_rows, strict=True
+            )
         ]
         for unit_name in FACTOR_FROM_HZ_BY_MISTAKEN_UNIT:
-            have_unit = [guessed_unit_name == unit_name for guessed_unit_name in guessed_unit_names]
-            if rows and (
-                all(have_unit) if may_be_other_plate and unit_name == "rad/s" else any(have_unit)
+            is_row_in_guessed_unit = [
+                guessed_unit_name == unit_name for guessed_unit_name in guessed_unit_names
+            ]
+            if natural_frequency_rows and (
+                all(is_row_in_guessed_unit)
+                if may_be_other_plate and unit_name == "rad/s"
+                else any(is_row_in_guessed_unit)
             ):
-                row = rows[have_unit.index(True)]
-                plate_frequencies = plate_frequencies_of_rows[have_unit.index(True)]
-                modes_text = "" if all(have_unit) and len(rows) > 1 else ", or of another mode"
+                row = natural_frequency_rows[is_row_in_guessed_unit.index(True)]
+                plate_frequencies = plate_frequencies_of_rows[is_row_in_guessed_unit.index(True)]
+                or_of_another_mode_text = (
+                    ""
+                    if all(is_row_in_guessed_unit) and len(natural_frequency_rows) > 1
+                    else ", or of another mode"
+                )
                 allowed_text = (
                     f"in Hz; this plate has about {plate_frequencies[row.mode - 1]:.4g} Hz, "
-                    f"so that the value seems to be in {unit_name}{modes_text}"
+                    f"so that the value seems to be in {unit_name}{or_of_another_mode_text}"
                 )
                 raise InputError(f"measurements.value, {row.name}", row.value, allowed_text)
         for row, plate_frequencies in (
-            zip(rows, plate_frequencies_of_rows, strict=True) if not may_be_other_plate else ()
+            zip(natural_frequency_rows, plate_frequencies_of_rows, strict=True)
+            if not may_be_other_plate
+            else ()
         ):
             nearest_mode = int(np.abs(np.log(row.value / plate_frequencies)).argmin()) + 1
             if row.quantity == "frequency_uncracked" and nearest_mode != row.mode:
-                own_frequency_text, nearest_frequency_text = (
+                stated_mode_frequency_text, nearest_frequency_text = (
                     f"{plate_frequencies[mode - 1]:.4g} Hz" for mode in (row.mode, nearest_mode)
                 )
-                own_mode_text = f"near {own_frequency_text} of this plate's mode {row.mode}"
+                stated_mode_text = (
+                    f"near {stated_mode_frequency_text} of this plate's mode {row.mode}"
+                )
                 allowed_text = (
-                    f"{own_mode_text}; nearer is mode {nearest_mode} with "
+                    f"{stated_mode_text}; nearer is mode {nearest_mode} with "
                     f"{nearest_frequency_text}: correct the mode, or the scene"
                 )
                 raise InputError(f"measurements.value, {row.name}", row.value, allowed_text)
@@ -513,13 +529,21 @@ class BaselineChanges:
             [measurement.quantity == "frequency_uncracked" for measurement in rows]
         )
         stated_temperatures = np.array([measurement.temperature for measurement in rows])
-        current_temperatures = stated_temperatures[~is_baseline & np.isfinite(stated_temperatures)]
+        stated_temperatures_with_crack = stated_temperatures[
+            ~is_baseline & np.isfinite(stated_temperatures)
+        ]
         temperature_offsets = np.nan_to_num(
             stated_temperatures
-            - (current_temperatures.mean() if len(current_temperatures) else np.nan)
+            - (
+                stated_temperatures_with_crack.mean()
+                if len(stated_temperatures_with_crack)
+                else np.nan
+            )
         )
-        has_known_offset = (
-            is_baseline & np.isfinite(stated_temperatures) & (len(current_temperatures) > 0)
+        has_known_temperature_offset = (
+            is_baseline
+            & np.isfinite(stated_temperatures)
+            & (len(stated_temperatures_with_crack) > 0)
         )
         self.temperature_frequency_factors = np.ones(len(rows))
         changes_per_kelvin = np.zeros((len(rows), 1 + n_modes))
@@ -532,11 +556,11 @@ class BaselineChanges:
             zip(rows, speed_ratios, strict=True)
         ):
             if measurement.is_natural_frequency and measurement.mode <= n_modes:
-                clamp_sensitivities, temperature_sensitivities = sensitivities_by_speed_ratio[
-                    speed_ratio
-                ]
+                frequency_changes_by_clamp, temperature_sensitivities = (
+                    sensitivities_by_speed_ratio[speed_ratio]
+                )
                 self.clamp_frequency_changes[row_index] = (
-                    is_baseline[row_index] * clamp_sensitivities[measurement.mode - 1]
+                    is_baseline[row_index] * frequency_changes_by_clamp[measurement.mode - 1]
                 )
                 changes_per_kelvin[row_index] = temperature_sensitivities[measurement.mode - 1]
                 modulus_ratio = (
@@ -547,10 +571,10 @@ class BaselineChanges:
                         speed_ratio, modulus_ratio
                     )[measurement.mode - 1]
                 )
-        has_unknown_offset = (is_baseline & ~has_known_offset)[:, None]
+        has_unknown_temperature_offset = (is_baseline & ~has_known_temperature_offset)[:, None]
         self.unknown_temperature_frequency_changes = (
             -identify_table.inference_setting_by_key["temperature_deviation"]
-            * has_unknown_offset
+            * has_unknown_temperature_offset
             * changes_per_kelvin
         )
         temperature_error_blocks = [
@@ -558,7 +582,7 @@ class BaselineChanges:
             * temperature_offsets[:, None]
             * changes_per_kelvin[:, :1],
             identify_table.thermometer_deviation
-            * has_known_offset[:, None]
+            * has_known_temperature_offset[:, None]
             * changes_per_kelvin[:, :1],
             temperature_offsets[:, None] * changes_per_kelvin[:, 1:],
         ]
@@ -579,7 +603,7 @@ class BaselineChanges:
             ]
         )
 
-    def with_change_factors(
+    def with_change_deviation_factors(
         self, clamp_factor: float, temperature_factor: float
     ) -> BaselineChanges:
         """Return a copy with larger or smaller standard deviations of the changes.
@@ -598,7 +622,7 @@ class BaselineChanges:
 def _solve_plate_modes(scene: Scene) -> Modes:
     """Solve a scene's lowest modes on this rank, with any crack bonded."""
     structure = prepare(scene, MPI.COMM_SELF, whole=True).structure
-    n_modes = min(N_FREQUENCIES_PER_CRACK_STATE, structure.n_dofs - structure.n_pairs)
+    n_modes = min(N_NATURAL_MODES_PER_CRACK_STATE, structure.n_dofs - structure.n_pairs)
     return solve_modes(structure, n_modes, lips="tied" if structure.n_pairs else "open")
 
 
@@ -622,10 +646,14 @@ def _build_rigid_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
     )
     if structure_nodes is None or len(clamped_points) < 2:
         return np.zeros((modes.structure.n_local, 0)), 0
-    node_motions = rigid_motion_displacements(structure_nodes.points - clamped_points.mean(axis=0))
-    motion_columns = np.zeros((modes.structure.n_local, len(node_motions)))
-    dofs_of_nodes = structure_nodes.dofs.ravel()
-    motion_columns[dofs_of_nodes[dofs_of_nodes >= 0]] = node_motions[:, dofs_of_nodes >= 0].T
+    rigid_motions_of_all_nodes = rigid_motion_displacements(
+        structure_nodes.points - clamped_points.mean(axis=0)
+    )
+    motion_columns = np.zeros((modes.structure.n_local, len(rigid_motions_of_all_nodes)))
+    dofs_of_all_nodes = structure_nodes.dofs.ravel()
+    motion_columns[dofs_of_all_nodes[dofs_of_all_nodes >= 0]] = rigid_motions_of_all_nodes[
+        :, dofs_of_all_nodes >= 0
+    ].T
     n_translations = structure_nodes.points.shape[1]
     motion_columns[:, :n_translations] *= np.sqrt(np.sum(np.var(clamped_points, axis=0)))
     return motion_columns, n_translations
@@ -634,7 +662,7 @@ def _build_rigid_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
 def _differentiate_harmonic_logs(
     features: Sequence[Feature],
     damping_ratio_of_points: np.ndarray,
-    frequency_split_root_and_frequencies: np.ndarray,
+    crack_split_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return derivatives of ln(harmonic) through its poles: two arrays (m, f, modes).
 
@@ -647,11 +675,11 @@ def _differentiate_harmonic_logs(
         f natural frequencies and harmonics; derivatives of natural frequencies are 0.
     damping_ratio_of_points : (m, 1)
         Damping ratios z at m values of the unknowns.
-    frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
+    crack_split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature.
     """
-    harmonic_to_mode_ratios, pole_factors = compute_ratios_and_pole_factors(
-        features, damping_ratio_of_points, frequency_split_root_and_frequencies
+    harmonic_to_mode_ratios, pole_factors = find_frequency_ratios_and_pole_factors(
+        features, damping_ratio_of_points, crack_split_root_and_frequencies
     )
     damping_slopes = (
         2j * damping_ratio_of_points[..., None] * harmonic_to_mode_ratios / pole_factors
@@ -659,7 +687,7 @@ def _differentiate_harmonic_logs(
     return damping_slopes - 2.0 * harmonic_to_mode_ratios**2 / pole_factors, -damping_slopes
 
 
-def compute_deviations_from_equivalent_crack(
+def compute_crack_geometry_deviations(
     x: np.ndarray, unknown_keys: Sequence[str], scene: Scene
 ) -> np.ndarray:
     """Return standard deviations of a real crack about its equivalent crack: (m, d).
@@ -669,7 +697,7 @@ def compute_deviations_from_equivalent_crack(
     deviation in the unit of the unknown; all remaining unknowns have 0.
     """
     identify_table = scene.given("identify")
-    equivalence_deviations = np.zeros_like(x)
+    crack_geometry_deviations = np.zeros_like(x)
     crack_extents = np.zeros(len(x))
     for size_key in CRACK_SIZE_KEYS:  # the last size given is the extent: depth, else length
         crack_sizes = np.full(
@@ -681,11 +709,13 @@ def compute_deviations_from_equivalent_crack(
                 identify_table.crack_correlation
             )
             # Frequencies change with the square of the size: half the relative deviation.
-            equivalence_deviations[:, unknown_keys.index(size_key)] = (
+            crack_geometry_deviations[:, unknown_keys.index(size_key)] = (
                 common_relative_deviation / 2.0 * crack_sizes
             )
         crack_extents = np.where(crack_sizes > 0.0, crack_sizes, crack_extents)
     if "crack.height" in unknown_keys:
-        tilt_slope = np.tan(np.radians(identify_table.angle_deviation))
-        equivalence_deviations[:, unknown_keys.index("crack.height")] = tilt_slope * crack_extents
-    return equivalence_deviations
+        tan_of_angle_deviation = np.tan(np.radians(identify_table.angle_deviation))
+        crack_geometry_deviations[:, unknown_keys.index("crack.height")] = (
+            tan_of_angle_deviation * crack_extents
+        )
+    return crack_geometry_deviations

@@ -16,7 +16,7 @@ class Options:
     """Maximum number of measurements, since each grid point factorises their covariance."""
 
     # Cases of the forward model.
-    allowed_vibration_ratio: float = 2.0
+    max_vibration_ratio_to_solved_cracks: float = 2.0
     """Maximum vibration between solved cracks, over the largest at any solved crack.
 
     Above the ratio more cracks are solved, unless the motion is proportional to the load
@@ -27,7 +27,7 @@ class Options:
 
     Above this part more cases are solved. A part of 0.2 raises the standard deviation 1.12 times.
     """
-    max_solved_case_ratio: int = 8
+    max_solved_to_requested_case_ratio: int = 8
     """Maximum number of solved cases over the number of cases in ``[identify.unknown]``."""
 
     # Interpolation.
@@ -39,7 +39,7 @@ class Options:
     """
     error_averaging_width_in_nodes: float = 1.25
     """Width of the Gaussian weights in averages of errors over grid nodes [node spacings]."""
-    max_averaged_nodes: int = 16
+    max_nodes_in_error_average: int = 16
     """Maximum number of grid nodes in an average of interpolation errors."""
 
     # Posterior.
@@ -49,7 +49,7 @@ class Options:
     """Half width of the refined grid around an optimum [standard deviations]."""
     allowed_optimum_log_drop: float = 8.0
     """Maximum distance of log L below the best optimum; lower optima are neglected."""
-    allowed_grid_log_drop: float = 300.0
+    max_log_drop_below_best_to_evaluate: float = 300.0
     """Maximum distance of log L below the best optimum for points on the refined grid.
 
     Lower points keep values that are interpolated on the first grid.
@@ -61,9 +61,9 @@ class Options:
 
     A larger probability that the grid does not resolve causes a warning.
     """
-    advised_frequency_deviation: float = 1e-3
+    relative_frequency_deviation_in_advice: float = 1e-3
     """Relative standard deviation of natural frequencies in advice on measurements."""
 
 
-IDENTIFICATION_OPTIONS = Options()
+IDENTIFICATION_SETTINGS = Options()
 """Settings of every identification."""

@@ -11,7 +11,7 @@ a crack may breathe or not, L is the sum over both, each with its probability
 
 The prior is uniform between the bounds. A crack differs from the equivalent straight and sharp
 crack. L is convolved on the grid with the distribution of the difference
-(:func:`fenics_crack.monitoring.identification.nuisance.compute_deviations_from_equivalent_crack`).
+(:func:`fenics_crack.monitoring.identification.nuisance.compute_crack_geometry_deviations`).
 Regions hold a share of the posterior's mass, the densest parts first. The integral of L over the
 prior is the evidence of a hypothesis (D. J. C. MacKay, Information Theory, Inference, and Learning
 Algorithms, 2003, chapter 28).
@@ -33,9 +33,9 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc, logsumexp
 
 from fenics_crack.monitoring.identification.interpolation import UnknownGrid
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
 from fenics_crack.monitoring.identification.predictor import (
-    MeasurementPrediction,
+    MeasurementPredictions,
     MeasurementPredictor,
 )
 
@@ -82,7 +82,7 @@ class Likelihood:
         the crack faces. The motion with the smallest sum of squares is taken.
         """
         residual_rows = np.full((len(x), len(self.measurement_values) + 1), np.inf)
-        for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
+        for point_indices, state_residuals, _ in self._yield_residuals_per_face_state(x):
             is_more_probable = np.sum(state_residuals**2, axis=1) < np.sum(
                 residual_rows[point_indices] ** 2, axis=1
             )
@@ -95,27 +95,27 @@ class Likelihood:
         An additive constant is left out.
         """
         log_likelihoods = np.full(len(x), -np.inf)
-        for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
+        for point_indices, state_residuals, _ in self._yield_residuals_per_face_state(x):
             log_likelihoods[point_indices] = np.logaddexp(
                 log_likelihoods[point_indices], -0.5 * np.sum(state_residuals**2, axis=1)
             )
         return log_likelihoods
 
-    def predict_most_probable(self, x: np.ndarray) -> MeasurementPrediction:
+    def predict_for_likeliest_face_state(self, x: np.ndarray) -> MeasurementPredictions:
         """Return predictions at values x (d,) of the unknowns.
 
         The predictions are for the most probable motion of the crack faces: breathing, open or
         closed.
         """
-        states_with_residuals = self._iterate_state_residuals(x[None])
+        states_with_residuals = self._yield_residuals_per_face_state(x[None])
         return min(
             states_with_residuals,
             key=lambda indices_residuals_prediction: np.sum(indices_residuals_prediction[1] ** 2),
         )[2]
 
-    def _iterate_state_residuals(
+    def _yield_residuals_per_face_state(
         self, x: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPredictions]]:
         """Yield residuals for each possible motion of the crack faces.
 
         ``x`` (m, d) are m values of the unknowns.
@@ -127,7 +127,7 @@ class Likelihood:
         residuals : (n, q + 1)
             Residuals of q measurements at these values; then the residual of the determinant
             (:meth:`compute_residuals`).
-        prediction : MeasurementPrediction
+        prediction : MeasurementPredictions
             Predictions at these values.
         """
         for (
@@ -140,7 +140,7 @@ class Likelihood:
                     prediction, self.measurement_values, self.measurement_deviations
                 )
             )
-            scaled_differences = (
+            differences_over_deviations = (
                 self.measurement_values - prediction.values
             ) / self.measurement_deviations
             half_log_determinants = np.log(np.diagonal(cholesky_factor, axis1=1, axis2=2)).sum(
@@ -149,9 +149,9 @@ class Likelihood:
             determinant_residual = np.sqrt(
                 2.0 * np.maximum(half_log_determinants, 0.0)
             )  # below 0 by rounding alone
-            measurement_residuals = np.linalg.solve(cholesky_factor, scaled_differences[..., None])[
-                ..., 0
-            ]
+            measurement_residuals = np.linalg.solve(
+                cholesky_factor, differences_over_deviations[..., None]
+            )[..., 0]
             yield (
                 point_indices,
                 np.column_stack([measurement_residuals, determinant_residual]),
@@ -165,19 +165,19 @@ class Likelihood:
         plate is warmer now. Its unit is the prior standard deviation. ``x`` (d,) are values of the
         unknowns.
         """
-        prediction = self.predict_most_probable(x)
+        prediction = self.predict_for_likeliest_face_state(x)
         temperature_slopes = (
             prediction.values[0]
             * self.predictor.baseline_changes.unknown_temperature_frequency_changes[:, 0]
             / self.measurement_deviations
         )
-        scaled_differences = (
+        differences_over_deviations = (
             self.measurement_values - prediction.values[0]
         ) / self.measurement_deviations
         covariance = compute_scaled_covariance(
             prediction, self.measurement_values, self.measurement_deviations
         )[0]
-        return float(temperature_slopes @ np.linalg.solve(covariance, scaled_differences))
+        return float(temperature_slopes @ np.linalg.solve(covariance, differences_over_deviations))
 
     def explains_measurements(self, x: np.ndarray) -> np.ndarray:
         """Return True for values x (m, d) that explain the measurements: (m,).
@@ -186,7 +186,7 @@ class Likelihood:
         are not reduced by the unknowns, since x need not be the optimum.
         """
         return np.asarray(
-            self._compute_chi_squares_and_p_values(x, 0)[1]
+            self._compute_point_chi_squares_and_p_values(x, 0)[1]
             >= 1.0 - self.predictor.model.identify_table.confidence
         )
 
@@ -197,10 +197,12 @@ class Likelihood:
         displacements subtracts 3 more, for the load's size and phase and a constant. The minimum is
         1.
         """
-        chi_squares, p_values = self._compute_chi_squares_and_p_values(x[None], len(x))
-        return float(chi_squares[0]), float(p_values[0])
+        chi_squares_of_single_point, p_values_of_single_point = (
+            self._compute_point_chi_squares_and_p_values(x[None], len(x))
+        )
+        return float(chi_squares_of_single_point[0]), float(p_values_of_single_point[0])
 
-    def _compute_chi_squares_and_p_values(
+    def _compute_point_chi_squares_and_p_values(
         self, x: np.ndarray, n_fitted_unknowns: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return chi^2 and its p-values at m values x (m, d) of the unknowns: (m,) each.
@@ -231,7 +233,7 @@ class Likelihood:
 
 
 def compute_scaled_covariance(
-    prediction: MeasurementPrediction,
+    prediction: MeasurementPredictions,
     measurement_values: np.ndarray,
     measurement_deviations: np.ndarray,
 ) -> np.ndarray:
@@ -246,11 +248,11 @@ def compute_scaled_covariance(
         prediction.covariance
         + prediction.changes_by_unknown_load @ prediction.changes_by_unknown_load.transpose(0, 2, 1)
     )
-    vague_deviations = np.where(
+    deviations_of_unpredictable_rows = np.where(
         prediction.is_predictable, 0.0, 10.0 * (np.abs(measurement_values) + measurement_deviations)
     )
     prediction_covariance = np.where(is_predictable_pair, prediction_covariance, 0.0) + np.diag(
-        vague_deviations**2
+        deviations_of_unpredictable_rows**2
     )
     return np.asarray(
         np.eye(len(measurement_values))
@@ -282,7 +284,7 @@ class Optimum:
         return np.sqrt(np.diag(self.covariance))
 
 
-class PosteriorBranch:
+class PosteriorForTextValues:
     """Posterior on a grid of the unknowns with numbers, for one choice of text values.
 
     An unknown with text values is, for example, crack.edge, with "left" or "right". Each choice has
@@ -319,18 +321,24 @@ class PosteriorBranch:
         self.optima = _find_optima(likelihood, first_grid, first_grid_log_likelihood)
         model = likelihood.predictor.model
         best_optima = self.optima[:3]
-        half_width_fractions = np.linspace(
+        offsets_over_half_width = np.linspace(
             -1.0, 1.0, REFINED_GRID_COUNT_BY_DIMENSION.get(n_unknowns, 7)
         )
-        refined_grid_points = []
+        refined_axis_value_arrays = []
         for optimum in best_optima:
-            crack_deviations = model.compute_deviations_from_equivalent_crack(optimum.x[None])[0]
+            crack_deviations = model.compute_crack_geometry_deviations(optimum.x[None])[0]
             for deviations in (optimum.deviations, np.hypot(optimum.deviations, crack_deviations)):
-                half_widths = IDENTIFICATION_OPTIONS.refined_half_width_in_deviations * deviations
-                refined_grid_points.append(optimum.x + np.outer(half_width_fractions, half_widths))
+                refined_region_half_widths = (
+                    IDENTIFICATION_SETTINGS.refined_half_width_in_deviations * deviations
+                )
+                refined_axis_value_arrays.append(
+                    optimum.x + np.outer(offsets_over_half_width, refined_region_half_widths)
+                )
         self.axes = tuple(
             np.unique(np.concatenate([axis, values[(values > axis[0]) & (values < axis[-1])]]))
-            for axis, values in zip(first_grid.axes, np.vstack(refined_grid_points).T, strict=True)
+            for axis, values in zip(
+                first_grid.axes, np.vstack(refined_axis_value_arrays).T, strict=True
+            )
         )
         axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in self.axes]
         self.prior_probabilities = reduce(np.multiply.outer, axis_weights)
@@ -338,17 +346,20 @@ class PosteriorBranch:
         # Far below the maximum, log L is interpolated on the first grid, not computed again.
         neighbourhood_maxima = maximum_filter(first_grid_log_likelihood, size=3, mode="nearest")
         log_likelihood_limit = (
-            self.optima[0].log_likelihood - IDENTIFICATION_OPTIONS.allowed_grid_log_drop
+            self.optima[0].log_likelihood
+            - IDENTIFICATION_SETTINGS.max_log_drop_below_best_to_evaluate
         )
         is_evaluated = (
             RegularGridInterpolator(first_grid.axes, neighbourhood_maxima)(grid_points)
             > log_likelihood_limit
         )
         for optimum in best_optima:
-            half_widths = (
-                IDENTIFICATION_OPTIONS.refined_half_width_in_deviations * optimum.deviations
+            refined_region_half_widths = (
+                IDENTIFICATION_SETTINGS.refined_half_width_in_deviations * optimum.deviations
             )
-            is_evaluated |= np.all(np.abs(grid_points - optimum.x) < half_widths, axis=1)
+            is_evaluated |= np.all(
+                np.abs(grid_points - optimum.x) < refined_region_half_widths, axis=1
+            )
         refined_log_likelihood = RegularGridInterpolator(
             first_grid.axes, first_grid_log_likelihood
         )(grid_points)
@@ -359,7 +370,7 @@ class PosteriorBranch:
             refined_log_likelihood.reshape(self.prior_probabilities.shape),
             self.axes,
             axis_weights,
-            model.compute_deviations_from_equivalent_crack(grid_points),
+            model.compute_crack_geometry_deviations(grid_points),
         )
 
     @property
@@ -373,7 +384,9 @@ class PosteriorBranch:
         ``x`` (d,) are the numbers. This branch adds the text values, such as "left" for crack.edge.
         """
         model = self.likelihood.predictor.model
-        return model.word_by_key | dict(zip(model.unknown_keys, x.tolist(), strict=True))
+        return model.text_value_by_unknown_key | dict(
+            zip(model.unknown_keys, x.tolist(), strict=True)
+        )
 
     def interpolate_log_likelihood(self, x: np.ndarray) -> float:
         """Interpolate the log-likelihood on the grid to values x (d,).
@@ -386,7 +399,7 @@ class PosteriorBranch:
         bounded_x = np.clip(x, grid.lower_bounds, grid.upper_bounds)
         return float(RegularGridInterpolator(self.axes, self.grid_log_likelihood)(bounded_x)[0])
 
-    def compute_explaining_points_and_shares(self) -> tuple[np.ndarray, np.ndarray]:
+    def find_explanations_and_interpolation_shares(self) -> tuple[np.ndarray, np.ndarray]:
         """Find cracks that explain the measurements, and their errors by interpolation.
 
         Returns
@@ -398,25 +411,32 @@ class PosteriorBranch:
             Fraction of the variance of measurement plus prediction that comes from interpolation
             along each of d unknowns, for each of q measurements.
         """
-        likelihood, explaining_point_arrays = self.likelihood, [np.zeros((0, len(self.axes)))]
-        share_arrays = [np.zeros((0, len(self.axes), len(likelihood.measurement_values)))]
+        likelihood_function, explaining_point_arrays = (
+            self.likelihood,
+            [np.zeros((0, len(self.axes)))],
+        )
+        interpolation_share_arrays = [
+            np.zeros((0, len(self.axes), len(likelihood_function.measurement_values)))
+        ]
         grid_points_and_optima = np.vstack(
             [
-                build_first_grid(likelihood.predictor.model.unknown_grid).nodes,
+                build_first_grid(likelihood_function.predictor.model.unknown_grid).nodes,
                 *(optimum.x for optimum in self.optima),
             ]
         )
         for point_batch in _split_points_into_batches(grid_points_and_optima):
-            if len(x := point_batch[likelihood.explains_measurements(point_batch)]):
-                variances_along_unknowns, total_variances = (
-                    likelihood.predictor.compute_interpolation_and_total_variances(x)
+            if len(x := point_batch[likelihood_function.explains_measurements(point_batch)]):
+                interpolation_variances_by_unknown, total_prediction_variances = (
+                    likelihood_function.predictor.compute_interpolation_and_total_variances(x)
                 )
                 explaining_point_arrays.append(x)
-                share_arrays.append(
-                    variances_along_unknowns
-                    / (total_variances + likelihood.measurement_deviations**2)[:, None]
+                interpolation_share_arrays.append(
+                    interpolation_variances_by_unknown
+                    / (total_prediction_variances + likelihood_function.measurement_deviations**2)[
+                        :, None
+                    ]
                 )
-        return np.vstack(explaining_point_arrays), np.vstack(share_arrays)
+        return np.vstack(explaining_point_arrays), np.vstack(interpolation_share_arrays)
 
 
 def _convolve_with_crack_deviations(
@@ -437,7 +457,7 @@ def _convolve_with_crack_deviations(
         Integration weights of these values.
     crack_deviations : (n, d)
         Standard deviations of the normal distributions at all n grid points
-        (:func:`compute_deviations_from_equivalent_crack`).
+        (:func:`compute_crack_geometry_deviations`).
 
     Returns
     -------
@@ -461,9 +481,12 @@ def _convolve_with_crack_deviations(
             -0.5 * ((axis_values - axis_values[:, None]) / kernel_widths) ** 2
         )
         kernel_matrix /= kernel_matrix.sum(axis=-1, keepdims=True)
-        relative_masses = np.moveaxis(relative_likelihood, unknown_index, -1) * weights_along_axis
+        weighted_relative_likelihood = (
+            np.moveaxis(relative_likelihood, unknown_index, -1) * weights_along_axis
+        )
         relative_likelihood = np.moveaxis(
-            np.einsum("...j,...ji->...i", relative_masses, kernel_matrix) / weights_along_axis,
+            np.einsum("...j,...ji->...i", weighted_relative_likelihood, kernel_matrix)
+            / weights_along_axis,
             -1,
             unknown_index,
         )
@@ -495,8 +518,8 @@ def _evaluate_log_likelihood(likelihood: Likelihood, points: np.ndarray) -> np.n
 
 
 def _split_points_into_batches(points: np.ndarray) -> list[np.ndarray]:
-    """Split points (n, d) into batches of at most ``IDENTIFICATION_OPTIONS.points_per_batch``."""
-    return np.array_split(points, -(-len(points) // IDENTIFICATION_OPTIONS.points_per_batch))
+    """Split points (n, d) into batches of at most ``points_per_batch`` of the settings."""
+    return np.array_split(points, -(-len(points) // IDENTIFICATION_SETTINGS.points_per_batch))
 
 
 def _find_optima(
@@ -513,7 +536,7 @@ def _find_optima(
     )
     start_indices = sorted(
         local_maximum_indices, key=lambda node_index: -log_likelihood.flat[node_index]
-    )[: IDENTIFICATION_OPTIONS.max_least_squares_starts]
+    )[: IDENTIFICATION_SETTINGS.max_least_squares_starts]
     optima: list[Optimum] = []
     unknown_grid = likelihood.predictor.model.unknown_grid
     lower_bounds = unknown_grid.lower_bounds
@@ -558,7 +581,7 @@ def _find_optima(
         )
         log_drop = optima[0].log_likelihood - optimum.log_likelihood
         if (
-            log_drop < IDENTIFICATION_OPTIONS.allowed_optimum_log_drop
+            log_drop < IDENTIFICATION_SETTINGS.allowed_optimum_log_drop
             and not is_near_better_optimum
         ):
             distinct_optima.append(optimum)
@@ -573,12 +596,12 @@ class Posterior:
 
     Parameters
     ----------
-    branch_by_words : dict of str to PosteriorBranch
+    branch_by_words : dict of str to PosteriorForTextValues
         Branch for each choice. Keys are the text values, joined with ", "; "" if all unknowns are
         numbers.
     """
 
-    def __init__(self, branch_by_words: Mapping[str, PosteriorBranch]) -> None:
+    def __init__(self, branch_by_words: Mapping[str, PosteriorForTextValues]) -> None:
         self.branch_by_words = dict(branch_by_words)
         log_evidences = [branch.log_evidence for branch in self.branch_by_words.values()]
         log_evidence_sum = logsumexp(log_evidences)
@@ -589,7 +612,7 @@ class Posterior:
             for words_text, branch in self.branch_by_words.items()
         }
         """Probability of each grid point, by text values; the sum over all is 1."""
-        self._log_likelihood_of_points = np.concatenate(
+        self._log_likelihoods_at_all_nodes = np.concatenate(
             [branch.grid_log_likelihood.ravel() for branch in self.branch_by_words.values()]
         )
         self._mass_of_points = np.concatenate(
@@ -610,15 +633,15 @@ class Posterior:
         return words_text, self.branch_by_words[words_text].optima[0].x
 
     @property
-    def _best_likelihood_and_unknowns(self) -> tuple[Likelihood, np.ndarray]:
+    def _likelihood_function_and_best_unknowns(self) -> tuple[Likelihood, np.ndarray]:
         """Return the likelihood, and the unknowns (d,) at its maximum."""
         words_text, x = self.best_words_and_unknowns
         return self.branch_by_words[words_text].likelihood, x
 
     @cached_property
-    def misfit(self) -> tuple[float, float]:
+    def misfit_chi_square_and_p_value(self) -> tuple[float, float]:
         """Return (chi^2, p-value) at the maximum of the likelihood."""
-        likelihood, x = self._best_likelihood_and_unknowns
+        likelihood, x = self._likelihood_function_and_best_unknowns
         return likelihood.compute_chi_square_and_p_value(x)
 
     @cached_property
@@ -627,7 +650,7 @@ class Posterior:
 
         The unknowns stay at the maximum of the likelihood for all measurements.
         """
-        likelihood, x = self._best_likelihood_and_unknowns
+        likelihood, x = self._likelihood_function_and_best_unknowns
         return [
             likelihood.without_measurement(row_index).compute_chi_square_and_p_value(x)
             for row_index in range(len(likelihood.measurement_values))
@@ -643,8 +666,8 @@ class Posterior:
         ``temperature_factor`` does so for an unknown temperature difference. The unknowns stay at
         the maximum of the likelihood with both factors 1.
         """
-        likelihood, x = self._best_likelihood_and_unknowns
-        predictor = likelihood.predictor.with_change_factors(
+        likelihood, x = self._likelihood_function_and_best_unknowns
+        predictor = likelihood.predictor.with_change_deviation_factors(
             clamp_factor=clamp_factor, temperature_factor=temperature_factor
         )
         return replace(likelihood, predictor=predictor).compute_chi_square_and_p_value(x)
@@ -657,7 +680,7 @@ class Posterior:
         plate is warmer now. Its unit is the prior standard deviation. The unknowns are at the
         maximum of the likelihood.
         """
-        likelihood, x = self._best_likelihood_and_unknowns
+        likelihood, x = self._likelihood_function_and_best_unknowns
         return likelihood.compute_normalised_temperature_change(x)
 
     @cached_property
@@ -671,11 +694,16 @@ class Posterior:
         for words_text, branch in self.branch_by_words.items():
             is_unresolved = np.zeros(branch.grid_log_likelihood.shape, dtype=bool)
             for unit_vector in np.eye(is_unresolved.ndim, dtype=int):
-                neighbour_footprint = np.reshape([1, 0, 1], 1 + 2 * unit_vector)
-                neighbour_maxima = maximum_filter(
-                    branch.grid_log_likelihood, None, neighbour_footprint, None, "constant", -np.inf
+                neighbour_filter_mask = np.reshape([1, 0, 1], 1 + 2 * unit_vector)
+                neighbour_log_likelihood_maxima = maximum_filter(
+                    branch.grid_log_likelihood,
+                    None,
+                    neighbour_filter_mask,
+                    None,
+                    "constant",
+                    -np.inf,
                 )
-                is_unresolved |= branch.grid_log_likelihood - neighbour_maxima > 2.0
+                is_unresolved |= branch.grid_log_likelihood - neighbour_log_likelihood_maxima > 2.0
             unresolved_sum += float(
                 np.sum(self.grid_probabilities_by_words[words_text][is_unresolved])
             )
@@ -687,12 +715,12 @@ class Posterior:
         The region consists of the grid points with the largest likelihood. Their posterior
         probability sums to at least ``probability``.
         """
-        indices_most_likely_first = np.argsort(-self._log_likelihood_of_points)
+        indices_most_likely_first = np.argsort(-self._log_likelihoods_at_all_nodes)
         cumulative_masses = np.cumsum(self._mass_of_points[indices_most_likely_first])
         border_index = min(
             int(np.searchsorted(cumulative_masses, probability)), len(indices_most_likely_first) - 1
         )
-        return float(self._log_likelihood_of_points[indices_most_likely_first[border_index]])
+        return float(self._log_likelihoods_at_all_nodes[indices_most_likely_first[border_index]])
 
     def iterate_reached_bounds(self, probability: float) -> Iterator[tuple[int, str, float]]:
         """Yield the bounds of the unknowns that a credible region reaches.
@@ -755,10 +783,10 @@ class Posterior:
         unknown_values, value_masses = self.compute_marginal_values_and_masses(unknown_index)
         cumulative_masses = np.cumsum(value_masses) - 0.5 * value_masses
         tail_probability = 0.5 * (1.0 - probability)
-        lower_quantile, upper_quantile = np.interp(
+        lower_interval_end, upper_interval_end = np.interp(
             [tail_probability, 1.0 - tail_probability], cumulative_masses, unknown_values
         )
-        return float(lower_quantile), float(upper_quantile)
+        return float(lower_interval_end), float(upper_interval_end)
 
     def find_region_parts(
         self, probability: float, min_probability: float
@@ -814,10 +842,10 @@ class Posterior:
         probability.
         """
         pair_mass, pair_prior = (
-            np.moveaxis(point_array, (first_unknown_index, second_unknown_index), (0, 1)).sum(
-                axis=tuple(range(2, point_array.ndim))
-            )
-            for point_array in (
+            np.moveaxis(
+                probabilities_on_grid, (first_unknown_index, second_unknown_index), (0, 1)
+            ).sum(axis=tuple(range(2, probabilities_on_grid.ndim)))
+            for probabilities_on_grid in (
                 self.grid_probabilities_by_words[words_text],
                 self.branch_by_words[words_text].prior_probabilities,
             )

@@ -20,12 +20,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, N_FREQUENCIES_PER_CRACK_STATE
+from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, N_NATURAL_MODES_PER_CRACK_STATE
 from fenics_crack.monitoring.identification.interpolation import (
-    RESONANCE_STATE_NAMES,
+    CRACK_STATES_AT_RESONANCE,
     Feature,
     SolvedCases,
-    compute_ratios_and_pole_factors,
+    find_frequency_ratios_and_pole_factors,
 )
 from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.model import (
@@ -71,23 +71,28 @@ class ProbeDisplacements:
         measured_rows: Sequence[Measurement],
         candidate_rows: Sequence[Measurement],
     ) -> None:
-        self.row_indices, all_rows = list(row_indices), (*measured_rows, *candidate_rows)
-        measured_group_rows = [
+        self.row_indices, measurements_and_candidates = (
+            list(row_indices),
+            (*measured_rows, *candidate_rows),
+        )
+        measurements_in_group = [
             measured_rows[row_index]
             for row_index in self.row_indices
             if row_index < len(measured_rows)
         ]
-        self._probe_phases = np.array([all_rows[row_index].phase for row_index in self.row_indices])
-        self._n_measured = len(measured_group_rows)
+        self._probe_phases = np.array(
+            [measurements_and_candidates[row_index].phase for row_index in self.row_indices]
+        )
+        self._n_measured = len(measurements_in_group)
         self._measurement_values = np.array(
-            [measurement.value for measurement in measured_group_rows]
+            [measurement.value for measurement in measurements_in_group]
         )
         self._inverse_deviations = 1.0 / np.array(
-            [measurement.deviation for measurement in measured_group_rows]
+            [measurement.deviation for measurement in measurements_in_group]
         )
 
     @classmethod
-    def group_displacements(
+    def group_displacements_by_load_and_point(
         cls, measured_rows: Sequence[Measurement], candidate_rows: Sequence[Measurement]
     ) -> list[ProbeDisplacements]:
         """Group the displacements among measurements and candidates by load and point.
@@ -105,7 +110,7 @@ class ProbeDisplacements:
             for row_indices in indices_by_load_and_point.values()
         ]
 
-    def compute_displacement_covariances(self, harmonic_orders: np.ndarray) -> np.ndarray:
+    def compute_random_phase_covariances(self, harmonic_orders: np.ndarray) -> np.ndarray:
         """Return covariances of n displacements by harmonics of random phase: (k, n, n).
 
         Each of the k ``harmonic_orders`` gives a covariance. The amplitude of its harmonic has the
@@ -138,9 +143,9 @@ class ProbeDisplacements:
         phase_factors = np.exp(1j * np.multiply.outer(self._probe_phases, harmonic_orders))
         load_sizes = np.ones(len(model_harmonics))
         load_phases = np.zeros(len(model_harmonics))
-        constant_displacements = np.zeros(len(model_harmonics))
+        fitted_constant_displacements = np.zeros(len(model_harmonics))
         if self._n_measured:
-            load_sizes, load_phases, constant_displacements = self._fit_load_and_constant(
+            load_sizes, load_phases, fitted_constant_displacements = self._fit_load_and_constant(
                 model_harmonics, phase_factors[: self._n_measured], harmonic_orders
             )
         displacement_slopes = (
@@ -162,7 +167,7 @@ class ProbeDisplacements:
             axis=2,
         )
         return (
-            displacements + constant_displacements[:, None],
+            displacements + fitted_constant_displacements[:, None],
             displacement_slopes,
             changes_by_unknown_load,
             load_sizes,
@@ -186,21 +191,32 @@ class ProbeDisplacements:
             Orders k.
         """
         tried_phases = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
-        shifted_harmonics = model_harmonics[:, None, :] * np.exp(
+        harmonics_at_tried_load_phases = model_harmonics[:, None, :] * np.exp(
             -1j * np.multiply.outer(tried_phases, harmonic_orders)
         )
-        displacements = (shifted_harmonics @ phase_factors.T).real  # (m, tried, n)
+        displacements = (harmonics_at_tried_load_phases @ phase_factors.T).real  # (m, tried, n)
         weight_shares = self._inverse_deviations**2 / np.sum(self._inverse_deviations**2)
         centred_measurements = self._measurement_values - weight_shares @ self._measurement_values
         centred_displacements = displacements - (displacements @ weight_shares)[..., None]
-        projections = centred_displacements @ (weight_shares * centred_measurements)
-        squared_norms = np.maximum((centred_displacements**2) @ weight_shares, np.finfo(float).tiny)
-        explained_squares = np.where(projections > 0.0, projections**2 / squared_norms, 0.0)
+        model_times_measured_displacements = centred_displacements @ (
+            weight_shares * centred_measurements
+        )
+        displacement_squared_norms = np.maximum(
+            (centred_displacements**2) @ weight_shares, np.finfo(float).tiny
+        )
+        explained_squares = np.where(
+            model_times_measured_displacements > 0.0,
+            model_times_measured_displacements**2 / displacement_squared_norms,
+            0.0,
+        )
         best_phase_indices = explained_squares.argmax(axis=1)
         best_indices = np.arange(len(model_harmonics)), best_phase_indices
-        load_sizes = projections[best_indices] / squared_norms[best_indices]
+        load_sizes = (
+            model_times_measured_displacements[best_indices]
+            / displacement_squared_norms[best_indices]
+        )
         load_phases = tried_phases[best_phase_indices]
-        constant_displacements = weight_shares @ self._measurement_values - load_sizes * (
+        fitted_constant_displacements = weight_shares @ self._measurement_values - load_sizes * (
             displacements[best_indices] @ weight_shares
         )
         constant_scale = np.max(np.abs(self._measurement_values)) + np.finfo(float).tiny
@@ -215,7 +231,7 @@ class ProbeDisplacements:
             weighted_residuals = self._inverse_deviations * (
                 self._measurement_values
                 - load_sizes[:, None] * displacements
-                - constant_displacements[:, None]
+                - fitted_constant_displacements[:, None]
             )
             parameter_slopes = np.stack(
                 [
@@ -233,8 +249,10 @@ class ProbeDisplacements:
             )[..., 0]
             load_sizes = load_sizes * np.exp(np.clip(newton_steps[:, 0], -1.0, 1.0))
             load_phases = load_phases + np.clip(newton_steps[:, 1], -0.1, 0.1)
-            constant_displacements = constant_displacements + constant_scale * newton_steps[:, 2]
-        return load_sizes, load_phases, constant_displacements
+            fitted_constant_displacements = (
+                fitted_constant_displacements + constant_scale * newton_steps[:, 2]
+            )
+        return load_sizes, load_phases, fitted_constant_displacements
 
 
 # --- the model ------------------------------------------------------------------------------------
@@ -249,8 +267,8 @@ class CrackFaceState(NamedTuple):
 
     Attributes
     ----------
-    resonance_state : str
-        "bilinear" (breathing), "open" or "tied" (closed), from :data:`RESONANCE_STATE_NAMES`.
+    resonance_state_name : str
+        "bilinear" (breathing), "open" or "tied" (closed), from :data:`CRACK_STATES_AT_RESONANCE`.
     common_resonance_deviation : float
         Standard deviation of an error common to all resonances.
     independent_resonance_deviation : float
@@ -260,7 +278,7 @@ class CrackFaceState(NamedTuple):
         Prior probability, up to a common factor.
     """
 
-    resonance_state: str
+    resonance_state_name: str
     common_resonance_deviation: float = 0.0
     independent_resonance_deviation: float = 0.0
     prior_weight: float = 1.0
@@ -271,7 +289,7 @@ BREATHING_FACE_STATE = CrackFaceState("bilinear")
 
 
 @dataclass(frozen=True)
-class MeasurementPrediction:
+class MeasurementPredictions:
     """Prediction of q measurements, at m values of the unknowns.
 
     Attributes
@@ -320,9 +338,9 @@ class MeasurementPredictor:
         self._feature_predictor = FeaturePredictor(
             model, list(itertools.chain.from_iterable(features_by_row))
         )
-        self._features = self._feature_predictor.features
+        self._predicted_features = self._feature_predictor.features
         index_by_feature = {
-            feature: feature_index for feature_index, feature in enumerate(self._features)
+            feature: feature_index for feature_index, feature in enumerate(self._predicted_features)
         }
         self._feature_indices_by_row = [
             [index_by_feature[feature] for feature in row_features]
@@ -330,30 +348,34 @@ class MeasurementPredictor:
         ]
         self.is_predictable = np.array(
             [
-                self._feature_predictor.is_known[feature_indices].all()
+                self._feature_predictor.is_feature_predictable[feature_indices].all()
                 for feature_indices in self._feature_indices_by_row
             ],
             dtype=bool,
         )
-        self._all_false_feature_mask = np.zeros(len(self._features), dtype=bool)
-        self._probe_groups = ProbeDisplacements.group_displacements(measured_rows, candidate_rows)
-        load_indices = self._feature_predictor.load_indices
-        speed_ratios = model.coarse_cases.swept_loads.rotor_speed_ratios
+        self._all_false_feature_mask = np.zeros(len(self._predicted_features), dtype=bool)
+        self._displacement_groups = ProbeDisplacements.group_displacements_by_load_and_point(
+            measured_rows, candidate_rows
+        )
+        solved_load_index_per_feature = self._feature_predictor.solved_load_index_per_feature
+        speed_ratios = model.coarse_mesh_cases.swept_loads.rotor_speed_ratios
         row_speed_ratios = [
-            speed_ratios[load_indices[feature_indices[0]]]
+            speed_ratios[solved_load_index_per_feature[feature_indices[0]]]
             for feature_indices in self._feature_indices_by_row
         ]
         self.baseline_changes = BaselineChanges(self.rows, row_speed_ratios, model.uncracked_plate)
-        self._higher_harmonic_masks, is_motionless = _find_harmonic_masks_and_motionless_nodes(
-            model.coarse_cases, self._features, load_indices
+        self._higher_harmonic_masks, non_breathing_grid_by_load = (
+            _find_loads_and_nodes_without_breathing(
+                model.coarse_mesh_cases, self._predicted_features, solved_load_index_per_feature
+            )
         )
-        self._motionless_fraction_interpolator = (
-            RegularGridInterpolator(model.unknown_grid.axes, is_motionless)
-            if len(is_motionless)
+        self._non_breathing_probability_interpolator = (
+            RegularGridInterpolator(model.unknown_grid.axes, non_breathing_grid_by_load)
+            if len(non_breathing_grid_by_load)
             else None
         )
-        self._face_states = (
-            _list_face_states(model)
+        self._possible_face_states = (
+            _list_possible_face_states(model)
             if any(measurement.is_resonant for measurement in self.rows)
             else (BREATHING_FACE_STATE,)
         )
@@ -367,7 +389,7 @@ class MeasurementPredictor:
         """Make a predictor for measurements, and for candidates for further measurements."""
         return MeasurementPredictor(self.model, measured_rows, candidate_rows)
 
-    def with_change_factors(
+    def with_change_deviation_factors(
         self, *, clamp_factor: float, temperature_factor: float
     ) -> MeasurementPredictor:
         """Return a copy with larger or smaller changes of clamp and temperature.
@@ -377,14 +399,14 @@ class MeasurementPredictor:
         ``temperature_factor`` does so for an unknown temperature difference.
         """
         changed_predictor = copy(self)
-        changed_predictor.baseline_changes = self.baseline_changes.with_change_factors(
+        changed_predictor.baseline_changes = self.baseline_changes.with_change_deviation_factors(
             clamp_factor, temperature_factor
         )
         return changed_predictor
 
     def iterate_face_state_predictions(
         self, x: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPredictions]]:
         """Yield predictions for each possible motion of the crack faces.
 
         Under a steady load, a preload or a clearance a crack may always stay open or closed. The
@@ -392,10 +414,10 @@ class MeasurementPredictor:
         that does not, a crack may do either.
 
         At a resonance, up to four motions are possible, with the same probability
-        (:func:`_list_face_states`). The crack is open for half of the period, for an unknown part
-        of the period, always, or never. The unknown part may be common to all resonances, or differ
-        between resonances, with half of the probability each. If the motion is proportional to the
-        load, the crack is open for half of the period.
+        (:func:`_list_possible_face_states`). The crack is open for half of the period, for an
+        unknown part of the period, always, or never. The unknown part may be common to all
+        resonances, or differ between resonances, with half of the probability each. If the motion
+        is proportional to the load, the crack is open for half of the period.
 
         Parameters
         ----------
@@ -408,48 +430,52 @@ class MeasurementPredictor:
             Indices of the values in x for which this motion is possible.
         probabilities : (n,)
             Probability of the motion at these values.
-        MeasurementPrediction
+        MeasurementPredictions
             Predictions at these values, with this motion.
         """
-        motionless_fractions = np.zeros((len(x), 0))
-        if self._motionless_fraction_interpolator is not None:
-            motionless_fractions = self._motionless_fraction_interpolator(
+        non_breathing_probabilities = np.zeros((len(x), 0))
+        if self._non_breathing_probability_interpolator is not None:
+            non_breathing_probabilities = self._non_breathing_probability_interpolator(
                 np.clip(
                     x, self.model.unknown_grid.lower_bounds, self.model.unknown_grid.upper_bounds
                 )
             )
-        for are_loads_motionless in itertools.product(
-            (False, True), repeat=motionless_fractions.shape[1]
+        for is_non_breathing_by_load in itertools.product(
+            (False, True), repeat=non_breathing_probabilities.shape[1]
         ):
             probabilities = np.prod(
-                np.where(are_loads_motionless, motionless_fractions, 1.0 - motionless_fractions),
+                np.where(
+                    is_non_breathing_by_load,
+                    non_breathing_probabilities,
+                    1.0 - non_breathing_probabilities,
+                ),
                 axis=1,
             )
             point_indices = np.flatnonzero(probabilities > 0.0)
             is_zero_feature = np.any(
                 [
                     self._all_false_feature_mask,
-                    *itertools.compress(self._higher_harmonic_masks, are_loads_motionless),
+                    *itertools.compress(self._higher_harmonic_masks, is_non_breathing_by_load),
                 ],
                 axis=0,
             )
             if len(point_indices):
                 feature_prediction = self._feature_predictor(x[point_indices])
-                for face_state in self._face_states:
+                for face_state in self._possible_face_states:
                     yield (
                         point_indices,
                         face_state.prior_weight * probabilities[point_indices],
                         self._predict_measurements(feature_prediction, is_zero_feature, face_state),
                     )
 
-    def __call__(self, x: np.ndarray) -> MeasurementPrediction:
+    def __call__(self, x: np.ndarray) -> MeasurementPredictions:
         """Return predictions at m values x (m, d) of the unknowns.
 
         At resonances several motions of the crack faces may be possible. The predictions are for
-        the first motion in :func:`_list_face_states`, with the largest standard deviation.
+        the first motion in :func:`_list_possible_face_states`, with the largest standard deviation.
         """
         return self._predict_measurements(
-            self._feature_predictor(x), self._all_false_feature_mask, self._face_states[0]
+            self._feature_predictor(x), self._all_false_feature_mask, self._possible_face_states[0]
         )
 
     def compute_interpolation_and_total_variances(
@@ -469,21 +495,23 @@ class MeasurementPredictor:
         feature_prediction = self._feature_predictor(x)
 
         def propagate_to_variances(covariance: np.ndarray) -> np.ndarray:
-            changed_prediction = feature_prediction._replace(smooth_form_covariance=covariance)
+            changed_prediction = feature_prediction._replace(
+                covariance_of_smooth_features=covariance
+            )
             prediction = self._predict_measurements(
-                changed_prediction, self._all_false_feature_mask, self._face_states[0]
+                changed_prediction, self._all_false_feature_mask, self._possible_face_states[0]
             )
             return np.diagonal(prediction.covariance, axis1=1, axis2=2)
 
         variances_without_interpolation = propagate_to_variances(
-            np.zeros_like(feature_prediction.smooth_form_covariance)
+            np.zeros_like(feature_prediction.covariance_of_smooth_features)
         )
-        variances_along_unknowns = [
+        interpolation_variances_by_unknown = [
             propagate_to_variances(covariance) - variances_without_interpolation
-            for covariance in self._feature_predictor.list_interpolation_covariances(x)
+            for covariance in self._feature_predictor.interpolation_covariances_per_unknown(x)
         ]
-        return np.stack(variances_along_unknowns, axis=1), propagate_to_variances(
-            feature_prediction.smooth_form_covariance
+        return np.stack(interpolation_variances_by_unknown, axis=1), propagate_to_variances(
+            feature_prediction.covariance_of_smooth_features
         )
 
     def _predict_measurements(
@@ -491,7 +519,7 @@ class MeasurementPredictor:
         feature_prediction: FeaturePrediction,
         is_zero_feature: np.ndarray,
         face_state: CrackFaceState,
-    ) -> MeasurementPrediction:
+    ) -> MeasurementPredictions:
         """Predict all measurements from features, for a motion of the crack faces.
 
         Parameters
@@ -503,57 +531,69 @@ class MeasurementPredictor:
         face_state : CrackFaceState
             Motion of the crack faces at resonances.
         """
-        smoothing_factors = feature_prediction.smoothing_factors
-        feature_values, interpolation_variances = (
-            np.where(is_zero_feature, 0.0, feature_array)
-            for feature_array in (
+        interpolation_smoothing_factors = feature_prediction.interpolation_smoothing_factors
+        feature_values, feature_interpolation_variances = (
+            np.where(is_zero_feature, 0.0, feature_values_or_variances)
+            for feature_values_or_variances in (
                 feature_prediction.feature_values,
                 feature_prediction.interpolation_variances,
             )
         )
-        predictions, complex_slopes, common_errors, independent_variances = (
+        predictions, prediction_slopes_by_smooth_forms, common_errors, independent_variances = (
             self._predict_all_but_displacements(
                 feature_prediction.damping_ratio_of_points,
                 feature_values,
-                smoothing_factors,
+                interpolation_smoothing_factors,
                 face_state,
             )
         )
         predictions *= self.baseline_changes.temperature_frequency_factors
         load_change_blocks = [np.zeros((*predictions.shape, 0))]
-        omitted_covariance = np.zeros((len(feature_values), len(self.rows), len(self.rows)))
-        for probe_group in self._probe_groups:
-            row_indices = probe_group.row_indices
+        covariance_by_omitted_harmonics = np.zeros(
+            (len(feature_values), len(self.rows), len(self.rows))
+        )
+        for displacement_group in self._displacement_groups:
+            row_indices = displacement_group.row_indices
             feature_indices = self._feature_indices_by_row[row_indices[0]]
             predictions[:, row_indices], displacement_slopes, load_induced_changes, load_sizes = (
-                probe_group.fit_load_to_displacements(feature_values[:, feature_indices])
+                displacement_group.fit_load_to_displacements(feature_values[:, feature_indices])
             )
             harmonic_mean_squares = (
                 np.abs(feature_values[:, feature_indices]) ** 2
-                + interpolation_variances[:, feature_indices]
+                + feature_interpolation_variances[:, feature_indices]
             )
-            omitted_orders, omitted_squares = self._estimate_omitted_orders_and_squares(
-                self._features[feature_indices[0]],
-                harmonic_mean_squares,
-                feature_prediction.damping_ratio_of_points,
-                feature_prediction.frequency_split_root_and_frequencies[:, feature_indices[:1]],
+            omitted_harmonic_orders, omitted_harmonic_mean_squares = (
+                self._estimate_omitted_orders_and_squares(
+                    self._predicted_features[feature_indices[0]],
+                    harmonic_mean_squares,
+                    feature_prediction.damping_ratio_of_points,
+                    feature_prediction.crack_split_root_and_frequencies[:, feature_indices[:1]],
+                )
             )
             group_block_index = np.ix_(range(len(feature_values)), row_indices, row_indices)
-            order_covariances = probe_group.compute_displacement_covariances(omitted_orders)
-            omitted_covariance[group_block_index] = load_sizes[:, None, None] ** 2 * np.tensordot(
-                omitted_squares, order_covariances, axes=1
+            order_covariances = displacement_group.compute_random_phase_covariances(
+                omitted_harmonic_orders
             )
-            complex_slopes[:, np.array(row_indices)[:, None], feature_indices] = (
-                displacement_slopes / smoothing_factors[:, None, feature_indices]
+            covariance_by_omitted_harmonics[group_block_index] = load_sizes[
+                :, None, None
+            ] ** 2 * np.tensordot(omitted_harmonic_mean_squares, order_covariances, axes=1)
+            prediction_slopes_by_smooth_forms[
+                :, np.array(row_indices)[:, None], feature_indices
+            ] = displacement_slopes / interpolation_smoothing_factors[:, None, feature_indices]
+            all_row_changes_by_unknown_load = np.zeros(
+                (*predictions.shape, load_induced_changes.shape[2])
             )
-            all_row_load_changes = np.zeros((*predictions.shape, load_induced_changes.shape[2]))
-            all_row_load_changes[:, row_indices] = load_induced_changes
-            load_change_blocks.append(all_row_load_changes)
-        complex_slopes[:, ~self.is_predictable] = 0.0
-        complex_slopes[..., is_zero_feature] = 0.0
-        real_slopes = split_complex_columns(complex_slopes.conj())
-        covariance = omitted_covariance + (
-            real_slopes @ feature_prediction.smooth_form_covariance @ real_slopes.transpose(0, 2, 1)
+            all_row_changes_by_unknown_load[:, row_indices] = load_induced_changes
+            load_change_blocks.append(all_row_changes_by_unknown_load)
+        prediction_slopes_by_smooth_forms[:, ~self.is_predictable] = 0.0
+        prediction_slopes_by_smooth_forms[..., is_zero_feature] = 0.0
+        slopes_by_real_and_imaginary_parts = split_complex_columns(
+            prediction_slopes_by_smooth_forms.conj()
+        )
+        covariance = covariance_by_omitted_harmonics + (
+            slopes_by_real_and_imaginary_parts
+            @ feature_prediction.covariance_of_smooth_features
+            @ slopes_by_real_and_imaginary_parts.transpose(0, 2, 1)
         )
         shared_errors = np.concatenate(
             [predictions[..., None] * self.baseline_changes.frequency_changes, common_errors],
@@ -563,7 +603,7 @@ class MeasurementPredictor:
             :, :, None
         ] * np.eye(len(self.rows))
         predictions = np.where(self.is_predictable, predictions, np.nan)
-        return MeasurementPrediction(
+        return MeasurementPredictions(
             predictions, covariance, np.concatenate(load_change_blocks, axis=2), self.is_predictable
         )
 
@@ -572,7 +612,7 @@ class MeasurementPredictor:
         first_harmonic_feature: Feature,
         mean_squares: np.ndarray,
         damping_ratio_of_points: np.ndarray,
-        frequency_split_root_and_frequencies: np.ndarray,
+        crack_split_root_and_frequencies: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Estimate the mean squares of harmonics above the solved orders.
 
@@ -594,8 +634,8 @@ class MeasurementPredictor:
             Mean squares of the known harmonics of this point.
         damping_ratio_of_points : (m, 1)
             Damping ratios z.
-        frequency_split_root_and_frequencies : (m, 1, 1 + 2 modes)
-            :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load.
+        crack_split_root_and_frequencies : (m, 1, 1 + 2 modes)
+            :attr:`SolvedCases.crack_split_root_and_frequencies` at the load.
 
         Returns
         -------
@@ -604,18 +644,19 @@ class MeasurementPredictor:
         (m, k) [m^2]
             Mean squares of the omitted harmonics.
         """
-        coarse_cases, load_frequency = (
-            self.model.coarse_cases,
+        coarse_mesh_cases, load_frequency = (
+            self.model.coarse_mesh_cases,
             first_harmonic_feature.load_frequency,
         )
         n_known_harmonics = min(
-            coarse_cases.find_smallest_harmonic_count(load_frequency), mean_squares.shape[1]
+            coarse_mesh_cases.find_smallest_harmonic_count(load_frequency), mean_squares.shape[1]
         )
-        highest_frequency = np.nanmax(
-            coarse_cases.frequency_split_root_and_frequencies[..., STORED_MODE_NUMBERS], initial=0.0
+        highest_natural_frequency = np.nanmax(
+            coarse_mesh_cases.crack_split_root_and_frequencies[..., STORED_MODE_NUMBERS],
+            initial=0.0,
         )
         n_harmonics = min(
-            max(2 * n_known_harmonics, math.ceil(highest_frequency / load_frequency)),
+            max(2 * n_known_harmonics, math.ceil(highest_natural_frequency / load_frequency)),
             MAX_HARMONIC_ORDER,
         )
         harmonic_features = [
@@ -623,39 +664,38 @@ class MeasurementPredictor:
             for harmonic_order in range(1, n_harmonics + 1)
         ]
         squared_compliances = (
-            np.nan_to_num(
-                frequency_split_root_and_frequencies[..., STORED_MODE_NUMBERS], nan=np.inf
-            )
+            np.nan_to_num(crack_split_root_and_frequencies[..., STORED_MODE_NUMBERS], nan=np.inf)
             ** -4.0
         )
-        relative_squares = np.sum(
+        squares_for_unit_force_constant = np.sum(
             squared_compliances
             / np.abs(
-                compute_ratios_and_pole_factors(
-                    harmonic_features, damping_ratio_of_points, frequency_split_root_and_frequencies
+                find_frequency_ratios_and_pole_factors(
+                    harmonic_features, damping_ratio_of_points, crack_split_root_and_frequencies
                 )[1]
             )
             ** 2,
             axis=2,
         )
-        relative_squares /= np.arange(1.0, n_harmonics + 1.0) ** 2
+        squares_for_unit_force_constant /= np.arange(1.0, n_harmonics + 1.0) ** 2
         upper_half_slice = slice(n_known_harmonics // 2, n_known_harmonics)
         with np.errstate(divide="ignore", invalid="ignore"):
             force_squares = np.nan_to_num(
                 np.mean(
-                    mean_squares[:, upper_half_slice] / relative_squares[:, upper_half_slice],
+                    mean_squares[:, upper_half_slice]
+                    / squares_for_unit_force_constant[:, upper_half_slice],
                     axis=1,
                 )
             )
         return np.arange(n_known_harmonics + 1, n_harmonics + 1), force_squares[
             :, None
-        ] * relative_squares[:, n_known_harmonics:]
+        ] * squares_for_unit_force_constant[:, n_known_harmonics:]
 
     def _predict_all_but_displacements(
         self,
         damping_ratio_of_points: np.ndarray,
         feature_values: np.ndarray,
-        smoothing_factors: np.ndarray,
+        interpolation_smoothing_factors: np.ndarray,
         face_state: CrackFaceState,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Predict all measurements but displacements, for a motion of the crack faces.
@@ -666,7 +706,7 @@ class MeasurementPredictor:
             Damping ratio at each of m values of the unknowns.
         feature_values : (m, f)
             Logarithms of natural frequencies [Hz], and complex harmonics [m].
-        smoothing_factors : (m, f)
+        interpolation_smoothing_factors : (m, f)
             Factors by which features are multiplied to become smooth forms S.
         face_state : CrackFaceState
             Motion of the crack faces.
@@ -682,12 +722,14 @@ class MeasurementPredictor:
         independent_variances : (m, q)
             Variances of errors that each measurement has alone.
         """
-        feature_sizes, size_slopes = _compute_sizes_and_slopes(
-            self._features, feature_values, smoothing_factors
+        feature_sizes, feature_size_slopes = _compute_feature_sizes_and_slopes(
+            self._predicted_features, feature_values, interpolation_smoothing_factors
         )
         predictions, independent_variances = np.zeros((2, len(feature_values), len(self.rows)))
-        common_errors = np.zeros((*predictions.shape, 1 + N_FREQUENCIES_PER_CRACK_STATE))
-        complex_slopes = np.zeros((*predictions.shape, len(self._features)), dtype=complex)
+        common_errors = np.zeros((*predictions.shape, 1 + N_NATURAL_MODES_PER_CRACK_STATE))
+        complex_slopes = np.zeros(
+            (*predictions.shape, len(self._predicted_features)), dtype=complex
+        )
         identify_table = self.model.identify_table
         for row_index, (row, feature_indices) in enumerate(
             zip(self.rows, self._feature_indices_by_row, strict=True)
@@ -700,44 +742,49 @@ class MeasurementPredictor:
                 else face_state
             )
             state_index = (
-                RESONANCE_STATE_NAMES.index(row_state.resonance_state) if row.is_resonant else 0
+                CRACK_STATES_AT_RESONANCE.index(row_state.resonance_state_name)
+                if row.is_resonant
+                else 0
             )
-            predictions[:, row_index], row_size_slopes = _combine_features_with_slopes(
+            predictions[:, row_index], row_slopes_by_feature_sizes = _combine_features_with_slopes(
                 row, feature_sizes[:, feature_indices], state_index
             )
             complex_slopes[:, row_index, feature_indices] = (
-                row_size_slopes * size_slopes[:, feature_indices]
+                row_slopes_by_feature_sizes * feature_size_slopes[:, feature_indices]
             )
             if row.is_resonant:
                 _, open_frequencies, bonded_frequencies = feature_sizes[:, feature_indices].T
                 frequency_split = bonded_frequencies - open_frequencies
-                damping_shift = predictions[:, row_index] * damping_ratio_of_points[:, 0] ** 2
+                frequency_shift_by_damping = (
+                    predictions[:, row_index] * damping_ratio_of_points[:, 0] ** 2
+                )
                 common_errors[:, row_index, 0] = (
                     row_state.common_resonance_deviation * frequency_split
                 )
-                mode_deviation = (
+                relative_mode_resonance_deviation = (
                     identify_table.first_resonance_deviation
                     if row.mode == 1
                     else identify_table.resonance_deviation
                 )
                 common_errors[:, row_index, row.mode] = (
-                    (state_index == 0) * mode_deviation * frequency_split
+                    (state_index == 0) * relative_mode_resonance_deviation * frequency_split
                 )
                 independent_variances[:, row_index] = (
                     row_state.independent_resonance_deviation * frequency_split
-                ) ** 2 + damping_shift**2
-        for cracked_index, uncracked_index in zip(
-            self._feature_predictor.cracked_frequency_indices,
-            self._feature_predictor.uncracked_frequency_indices,
+                ) ** 2 + frequency_shift_by_damping**2
+        for cracked_feature_index, uncracked_feature_index in zip(
+            self._feature_predictor.cracked_frequency_feature_indices,
+            self._feature_predictor.uncracked_frequency_feature_indices,
             strict=True,
         ):
-            complex_slopes[:, :, uncracked_index] += (
-                complex_slopes[:, :, cracked_index] * smoothing_factors[:, None, cracked_index]
+            complex_slopes[:, :, uncracked_feature_index] += (
+                complex_slopes[:, :, cracked_feature_index]
+                * interpolation_smoothing_factors[:, None, cracked_feature_index]
             )
         return predictions, complex_slopes, common_errors, independent_variances
 
 
-def _find_harmonic_masks_and_motionless_nodes(
+def _find_loads_and_nodes_without_breathing(
     solved_cases: SolvedCases, features: Sequence[Feature], load_index_of_features: Sequence[int]
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Find the loads under which some solved cracks do not breathe.
@@ -762,25 +809,31 @@ def _find_harmonic_masks_and_motionless_nodes(
         For each of these loads, 1 at grid nodes with a crack that does not breathe, otherwise 0. An
         empty array without loads.
     """
-    harmonic_masks, motionless_grids = [], []
+    higher_harmonic_masks_by_load, non_breathing_grids_by_load = [], []
     is_higher_harmonic = np.array([feature.harmonic_order > 1 for feature in features], dtype=bool)
     for load_index in np.unique(np.array(load_index_of_features)[is_higher_harmonic]):
-        is_group_member = is_higher_harmonic & (np.array(load_index_of_features) == load_index)
-        group_harmonic_amplitudes = [
+        is_higher_harmonic_of_load = is_higher_harmonic & (
+            np.array(load_index_of_features) == load_index
+        )
+        node_values_of_load_harmonics = [
             features[feature_index].get_node_values(solved_cases)
-            for feature_index in np.flatnonzero(is_group_member)
+            for feature_index in np.flatnonzero(is_higher_harmonic_of_load)
         ]
-        largest_amplitudes = np.fmax.reduce(np.abs(group_harmonic_amplitudes))
-        is_motionless = largest_amplitudes <= 1e-9 * np.fmax.reduce(largest_amplitudes)  # rounding
-        if is_motionless.any() and not is_motionless.all():
-            harmonic_masks.append(is_group_member)
-            motionless_grids.append(is_motionless.reshape(solved_cases.unknown_grid.shape))
-    return harmonic_masks, np.moveaxis(
-        np.array(motionless_grids, dtype=float), 0, -1
-    ) if harmonic_masks else np.zeros(0)
+        largest_amplitude_at_nodes = np.fmax.reduce(np.abs(node_values_of_load_harmonics))
+        is_node_without_breathing = largest_amplitude_at_nodes <= 1e-9 * np.fmax.reduce(
+            largest_amplitude_at_nodes
+        )  # rounding
+        if is_node_without_breathing.any() and not is_node_without_breathing.all():
+            higher_harmonic_masks_by_load.append(is_higher_harmonic_of_load)
+            non_breathing_grids_by_load.append(
+                is_node_without_breathing.reshape(solved_cases.unknown_grid.shape)
+            )
+    return higher_harmonic_masks_by_load, np.moveaxis(
+        np.array(non_breathing_grids_by_load, dtype=float), 0, -1
+    ) if higher_harmonic_masks_by_load else np.zeros(0)
 
 
-def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
+def _list_possible_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     """List the possible motions of the crack faces at resonances, with prior weights.
 
     The weights sum to 1. If the motion is proportional to the load, the only motion is breathing,
@@ -790,37 +843,45 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     """
     if has_load_independent_motion_shape(model.scene):
         return (BREATHING_FACE_STATE,)
-    resonance_deviation = model.identify_table.resonance_deviation
-    closed_time_share_of_cases = model.coarse_cases.sweep_result["closed_share"][
-        model.coarse_cases.word_selection_index
+    relative_resonance_deviation = model.identify_table.resonance_deviation
+    closed_time_share_of_cases = model.coarse_mesh_cases.sweep_result["closed_share"][
+        model.coarse_mesh_cases.word_selection_index
     ]
     smallest_closed_time_share, largest_closed_time_share = (
-        reduce_function.reduce(closed_time_share_of_cases, axis=None)
-        for reduce_function in (np.fmin, np.fmax)
+        minimum_or_maximum_function.reduce(closed_time_share_of_cases, axis=None)
+        for minimum_or_maximum_function in (np.fmin, np.fmax)
     )
-    held_states = itertools.compress(
+    always_open_or_closed_states = itertools.compress(
         (CrackFaceState("open"), CrackFaceState("tied")),
         (smallest_closed_time_share < 1.0, largest_closed_time_share > 0.0),
     )
     # Open for an unknown part of the period: another part at each resonance, or a common part.
-    partly_open_states = (
+    states_open_part_of_the_period = (
         CrackFaceState(
-            "bilinear", independent_resonance_deviation=resonance_deviation, prior_weight=0.5
+            "bilinear",
+            independent_resonance_deviation=relative_resonance_deviation,
+            prior_weight=0.5,
         ),
         CrackFaceState(
-            "bilinear", common_resonance_deviation=resonance_deviation, prior_weight=0.5
+            "bilinear", common_resonance_deviation=relative_resonance_deviation, prior_weight=0.5
         ),
     )
-    face_states = (*partly_open_states, BREATHING_FACE_STATE, *held_states)
-    total_weight = sum(face_state.prior_weight for face_state in face_states)
+    possible_face_states = (
+        *states_open_part_of_the_period,
+        BREATHING_FACE_STATE,
+        *always_open_or_closed_states,
+    )
+    total_weight = sum(face_state.prior_weight for face_state in possible_face_states)
     return tuple(
         face_state._replace(prior_weight=face_state.prior_weight / total_weight)
-        for face_state in face_states
+        for face_state in possible_face_states
     )
 
 
-def _compute_sizes_and_slopes(
-    features: Sequence[Feature], feature_values: np.ndarray, smoothing_factors: np.ndarray
+def _compute_feature_sizes_and_slopes(
+    features: Sequence[Feature],
+    feature_values: np.ndarray,
+    interpolation_smoothing_factors: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return sizes of f features, and slopes of the sizes by smooth forms: (m, f) each.
 
@@ -832,20 +893,26 @@ def _compute_sizes_and_slopes(
         f natural frequencies and harmonics.
     feature_values : (m, f)
         Logarithms of natural frequencies [Hz], and complex harmonics [m].
-    smoothing_factors : (m, f)
+    interpolation_smoothing_factors : (m, f)
         Factors by which features are multiplied to become smooth forms.
     """
     is_natural_frequency = np.array([feature.is_natural_frequency for feature in features])
     frequencies = np.exp(np.where(is_natural_frequency, feature_values.real, 0.0))
-    amplitudes = np.abs(feature_values)
+    harmonic_feature_amplitudes = np.abs(feature_values)
     with np.errstate(divide="ignore", invalid="ignore"):
         amplitude_slopes = (
-            np.where(amplitudes > 0.0, np.conj(feature_values) / amplitudes, 1.0)
-            / smoothing_factors
+            np.where(
+                harmonic_feature_amplitudes > 0.0,
+                np.conj(feature_values) / harmonic_feature_amplitudes,
+                1.0,
+            )
+            / interpolation_smoothing_factors
         )
     return (
-        np.where(is_natural_frequency, frequencies, amplitudes),
-        np.where(is_natural_frequency, frequencies / smoothing_factors, amplitude_slopes),
+        np.where(is_natural_frequency, frequencies, harmonic_feature_amplitudes),
+        np.where(
+            is_natural_frequency, frequencies / interpolation_smoothing_factors, amplitude_slopes
+        ),
     )
 
 
@@ -862,7 +929,7 @@ def _combine_features_with_slopes(
         Natural frequencies [Hz], or amplitudes [m], of the k features from
         :meth:`Feature.list_features_of_measurement`.
     state_index : int
-        For a resonance, index of the crack faces' motion in :data:`RESONANCE_STATE_NAMES`;
+        For a resonance, index of the crack faces' motion in :data:`CRACK_STATES_AT_RESONANCE`;
         otherwise 0.
 
     Returns
@@ -876,7 +943,7 @@ def _combine_features_with_slopes(
         return feature_sizes[:, state_index], np.eye(1, feature_sizes.shape[1], state_index).repeat(
             len(feature_sizes), axis=0
         )
-    numerators, denominators = feature_sizes.T
-    return numerators / denominators, np.column_stack(
-        [1.0 / denominators, -numerators / denominators**2]
+    numerator_amplitudes, denominator_amplitudes = feature_sizes.T
+    return numerator_amplitudes / denominator_amplitudes, np.column_stack(
+        [1.0 / denominator_amplitudes, -numerator_amplitudes / denominator_amplitudes**2]
     )

@@ -26,7 +26,7 @@ class IdentificationOutput:
 
     KIND: ClassVar[str] = IDENTIFICATION_FILE_KIND
     scene: Scene
-    summary_by_key: Mapping[str, Any]
+    identification_summary: Mapping[str, Any]
     """Contents of ``identify.json`` (:meth:`Identification.summary`)."""
     picture_path: Path
     """Path of the picture of the posterior, a PNG file and no symbolic link."""
@@ -43,11 +43,11 @@ class IdentificationOutput:
             The picture is missing, is a link, or is no PNG file.
         """
         picture_path = stored_file.path.with_name("posterior.png")
-        with stored_file.yield_checked_datasets() as data_by_name:
-            scene, summary_by_key = stored_file.scene(), json.loads(data_by_name["summary"])
+        with stored_file.yield_datasets_with_valid_numbers() as data_by_name:
+            scene, identification_summary = stored_file.scene(), json.loads(data_by_name["summary"])
             if scene is None:
                 raise LookupError("scene")
-            if "priors" not in summary_by_key:
+            if "priors" not in identification_summary:
                 raise LookupError("priors")
         picture_bytes = b""
         with suppress(OSError):
@@ -58,7 +58,7 @@ class IdentificationOutput:
                 str(stored_file.path),
                 f"in one folder with {picture_path.name}, which identify writes",
             )
-        return cls(scene, summary_by_key, picture_path)
+        return cls(scene, identification_summary, picture_path)
 
 
 def report_of_identification(identify_output: IdentificationOutput) -> Report:
@@ -67,17 +67,21 @@ def report_of_identification(identify_output: IdentificationOutput) -> Report:
         MEASUREMENT_FIT_COLUMN_NAMES,  # SciPy's optimize, interpolate
     )
 
-    summary_by_key, estimate_rows = identify_output.summary_by_key, []
-    confidence_text = f"{100.0 * summary_by_key['priors']['confidence']:g} %"
-    for unknown_key, estimate_value in summary_by_key["estimate"].items():
-        interval_ends = summary_by_key["intervals"].get(unknown_key)  # None for text values
-        limit_texts = (
+    identification_summary, estimate_rows = identify_output.identification_summary, []
+    confidence_text = f"{100.0 * identification_summary['priors']['confidence']:g} %"
+    for unknown_key, estimate_value in identification_summary["estimate"].items():
+        interval_ends = identification_summary["intervals"].get(unknown_key)  # None for text values
+        interval_end_texts = (
             [value_in_words(unknown_key, interval_end) for interval_end in interval_ends]
             if interval_ends
             else ["", ""]
         )
         estimate_rows.append(
-            [key_in_words(unknown_key), value_in_words(unknown_key, estimate_value), *limit_texts]
+            [
+                key_in_words(unknown_key),
+                value_in_words(unknown_key, estimate_value),
+                *interval_end_texts,
+            ]
         )
     estimate_table = Table(("unknown", "estimate", f"{confidence_text} from", "to"), estimate_rows)
     interval_texts = [
@@ -85,27 +89,30 @@ def report_of_identification(identify_output: IdentificationOutput) -> Report:
         for unknown_key, estimate_value, lower_text, upper_text in estimate_rows
         if lower_text
     ]
-    shown_interval_texts = interval_texts if summary_by_key["verdict"] == "crack" else []
+    shown_interval_texts = interval_texts if identification_summary["verdict"] == "crack" else []
     priors_text = ", ".join(
         f"{prior_key} = {value_in_words(f'identify.{prior_key}', prior_value)}"
-        for prior_key, prior_value in summary_by_key["priors"].items()
+        for prior_key, prior_value in identification_summary["priors"].items()
     )
     return Report(
         estimate_table,
         Conclusion(
-            summary_by_key.get("conclusion", summary_by_key["verdict"]),
-            further_clauses=[*shown_interval_texts, summary_by_key["reason"]],
+            identification_summary.get("conclusion", identification_summary["verdict"]),
+            further_clauses=[*shown_interval_texts, identification_summary["reason"]],
         ),
         notes=[
             f"priors: {priors_text}",
-            *(f"next to measure: {advice_text}" for advice_text in summary_by_key["advice"]),
+            *(
+                f"next to measure: {advice_text}"
+                for advice_text in identification_summary["advice"]
+            ),
         ],
-        warnings=summary_by_key["warnings"],
+        warnings=identification_summary["warnings"],
         page_tables={
             "Unknowns": estimate_table,
             "Measurements and predictions of the estimate": Table(
-                MEASUREMENT_FIT_COLUMN_NAMES, summary_by_key["measurements"]
+                MEASUREMENT_FIT_COLUMN_NAMES, identification_summary["measurements"]
             ),
         },
-        remarks=summary_by_key["remarks"],
+        remarks=identification_summary["remarks"],
     )

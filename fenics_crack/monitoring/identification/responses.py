@@ -80,12 +80,12 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
         The file cannot be read, is damaged, or has no frequency response.
     """
     responses = []
-    for heading_lines, number_bytes, byte_order in _iterate_response_datasets(
+    for header_lines, number_bytes, byte_order in _iterate_response_datasets(
         BytesIO(read_regular_file(path, MAX_INPUT_FILE_BYTES))
     ):
-        heading_texts = [heading_line.decode("latin-1") for heading_line in heading_lines]
-        if int(heading_texts[6][:5]) == 4:  # frequency response functions
-            responses.append(_parse_response(heading_texts, number_bytes, byte_order))
+        header_line_texts = [header_line.decode("latin-1") for header_line in header_lines]
+        if int(header_line_texts[6][:5]) == 4:  # frequency response functions
+            responses.append(_parse_response(header_line_texts, number_bytes, byte_order))
     if not responses:
         raise ValueError("it has no frequency response: no dataset 58 with a function of type 4")
     return responses
@@ -106,15 +106,15 @@ def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[b
     while file_line := universal_file.readline():
         if file_line.strip() != UNIVERSAL_DATASET_BORDER_LINE:
             continue
-        dataset_line, byte_order, number_bytes = universal_file.readline().rstrip(), "", b""
-        is_response = dataset_line[:6].strip() == b"58"
+        dataset_number_line, byte_order, number_bytes = universal_file.readline().rstrip(), "", b""
+        is_dataset_58 = dataset_number_line[:6].strip() == b"58"
         heading_lines = [
-            dataset_line,
-            *(universal_file.readline().rstrip() for _ in range(11 * is_response)),
+            dataset_number_line,
+            *(universal_file.readline().rstrip() for _ in range(11 * is_dataset_58)),
         ]
-        if is_response and dataset_line[6:7].lower() == b"b":
-            byte_order = {1: "<", 2: ">"}[int(dataset_line[7:13])]
-            n_bytes = int(dataset_line[31:43].strip() or 0)
+        if is_dataset_58 and dataset_number_line[6:7].lower() == b"b":
+            byte_order = {1: "<", 2: ">"}[int(dataset_number_line[7:13])]
+            n_bytes = int(dataset_number_line[31:43].strip() or 0)
             if (
                 number_type_code := int(heading_lines[7][:10])
             ) in NUMPY_TYPE_BY_COMPLEX_NUMBER_CODE and int(heading_lines[7][20:30]):
@@ -124,7 +124,7 @@ def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[b
                     * int(heading_lines[7][10:20])
                     * int(NUMPY_TYPE_BY_COMPLEX_NUMBER_CODE[number_type_code][1])
                 )
-            if int(dataset_line[13:19]) != 2:
+            if int(dataset_number_line[13:19]) != 2:
                 raise ValueError("its binary numbers are not in the format of IEEE 754")
             number_bytes = universal_file.read(n_bytes)
             if len(number_bytes) < n_bytes:
@@ -132,11 +132,11 @@ def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[b
         data_lines = []
         while (file_line := universal_file.readline()).strip() != UNIVERSAL_DATASET_BORDER_LINE:
             if not file_line:
-                if is_response and not byte_order:
+                if is_dataset_58 and not byte_order:
                     raise ValueError("it ends early: a dataset 58 has no last line -1")
                 break
             data_lines.append(file_line)
-        if is_response:
+        if is_dataset_58:
             yield heading_lines, number_bytes or b"".join(data_lines), byte_order
 
 
@@ -152,7 +152,7 @@ def _parse_fixed_width_numbers(number_bytes: bytes) -> np.ndarray:
 
 
 def _parse_response(
-    heading_texts: list[str], number_bytes: bytes, byte_order: str
+    header_line_texts: list[str], number_bytes: bytes, byte_order: str
 ) -> FrequencyResponse:
     """Parse a frequency response from a dataset 58 or 58b.
 
@@ -160,7 +160,7 @@ def _parse_response(
 
     Parameters
     ----------
-    heading_texts : list of str
+    header_line_texts : list of str
         Line with the dataset's number, and the eleven heading lines.
     number_bytes : bytes
         Numbers of the dataset, as text or binary.
@@ -168,14 +168,14 @@ def _parse_response(
         Byte order of binary numbers, "<" or ">"; "" for text.
     """
     number_type_code, n_spectral_lines, is_equally_spaced = (
-        int(heading_texts[7][start_column : start_column + 10]) for start_column in (0, 10, 20)
+        int(header_line_texts[7][start_column : start_column + 10]) for start_column in (0, 10, 20)
     )
     first_frequency, frequency_step = (
-        float(heading_texts[7][start_column : start_column + 13].replace("D", "E"))
+        float(header_line_texts[7][start_column : start_column + 13].replace("D", "E"))
         for start_column in (30, 43)
     )
-    motion_code = int(heading_texts[9][:10])
-    for is_unreadable, reason_text in (
+    motion_code = int(header_line_texts[9][:10])
+    for is_unsupported, reason_text in (
         (
             number_type_code not in NUMPY_TYPE_BY_COMPLEX_NUMBER_CODE,
             "a frequency response has numbers that are not complex",
@@ -189,7 +189,7 @@ def _parse_response(
             "a binary frequency response has lines that are not equally spaced",
         ),
     ):
-        if is_unreadable:
+        if is_unsupported:
             raise ValueError(reason_text)
     if byte_order:
         response_numbers = np.frombuffer(
@@ -245,24 +245,27 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
             "responses", f"{len(responses)} responses", "all measured at the same frequencies"
         )
     is_positive_frequency = frequencies > 0.0
-    omega = RAD_PER_TURN * frequencies[is_positive_frequency]
+    positive_line_omegas = RAD_PER_TURN * frequencies[is_positive_frequency]
     receptances = np.stack(
         [
             response.response_values[is_positive_frequency]
-            / (1j * omega) ** response.derivative_order
+            / (1j * positive_line_omegas) ** response.derivative_order
             for response in responses
         ]
     )
-    response_power, mode_rows = omega**2 * np.sum(np.abs(receptances) ** 2, axis=0), []
+    response_power, mode_rows = (
+        positive_line_omegas**2 * np.sum(np.abs(receptances) ** 2, axis=0),
+        [],
+    )
     # A peak falls to half of its power on both sides before the power is larger there. It is fitted
     # down to a tenth of its power, and for the error down to half of it.
-    peak_indices, peak_properties = find_peaks(response_power, prominence=0.0)
+    peak_indices, prominences_by_property_name = find_peaks(response_power, prominence=0.0)
     for peak_index in peak_indices[
-        peak_properties["prominences"] > 0.5 * response_power[peak_indices]
+        prominences_by_property_name["prominences"] > 0.5 * response_power[peak_indices]
     ].tolist():
         wide_fit, narrow_fit = (
             _fit_mode_or_none(
-                omega,
+                positive_line_omegas,
                 receptances,
                 peak_index,
                 _find_line_slice_around_peak(
@@ -276,9 +279,14 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
         mode_frequency, frequency_deviation, damping_ratio = wide_fit
         frequency_deviation = float(np.hypot(frequency_deviation, mode_frequency - narrow_fit[0]))
         # Peaks of noise do not give a frequency to a tenth of the width.
-        peak_width = damping_ratio * mode_frequency
-        peak_distance = abs(mode_frequency - omega[peak_index] / RAD_PER_TURN)
-        if frequency_deviation < 0.1 * peak_width and peak_distance < peak_width:
+        peak_width_in_hz = damping_ratio * mode_frequency
+        distance_of_fit_from_peak = abs(
+            mode_frequency - positive_line_omegas[peak_index] / RAD_PER_TURN
+        )
+        if (
+            frequency_deviation < 0.1 * peak_width_in_hz
+            and distance_of_fit_from_peak < peak_width_in_hz
+        ):
             mode_rows.append((mode_frequency, frequency_deviation, damping_ratio))
     if not mode_rows:
         allowed_text = (
@@ -305,10 +313,17 @@ def _find_line_slice_around_peak(
     min_power : float
         Minimum power.
     """
-    is_excluded = (response_power < min_power) | (response_power > response_power[peak_index])
-    excluded_indices = np.concatenate([[-1], np.flatnonzero(is_excluded), [len(response_power)]])
-    next_position = int(np.searchsorted(excluded_indices, peak_index))
-    return slice(excluded_indices[next_position - 1] + 1, excluded_indices[next_position])
+    is_outside_power_range = (response_power < min_power) | (
+        response_power > response_power[peak_index]
+    )
+    outside_power_range_indices = np.concatenate(
+        [[-1], np.flatnonzero(is_outside_power_range), [len(response_power)]]
+    )
+    position_of_next_outside_index = int(np.searchsorted(outside_power_range_indices, peak_index))
+    return slice(
+        outside_power_range_indices[position_of_next_outside_index - 1] + 1,
+        outside_power_range_indices[position_of_next_outside_index],
+    )
 
 
 def _fit_mode_or_none(
@@ -333,15 +348,18 @@ def _fit_mode_or_none(
         Frequency [Hz], its standard deviation [Hz] and damping ratio. None if the frequencies are
         too few, or the fitted mode has no positive stiffness and damping.
     """
-    r, receptances_in_slice = omega[line_slice] / omega[peak_index], receptances[:, line_slice]
+    frequency_ratios, receptances_in_slice = (
+        omega[line_slice] / omega[peak_index],
+        receptances[:, line_slice],
+    )
     n_responses, n_spectral_lines = receptances_in_slice.shape
     if 2 * receptances_in_slice.size <= 2 + 4 * n_responses:
         return None
     residual_term_columns = np.kron(
-        np.eye(n_responses), np.column_stack([np.ones(n_spectral_lines), r - 1.0])
+        np.eye(n_responses), np.column_stack([np.ones(n_spectral_lines), frequency_ratios - 1.0])
     )
     receptance_vector = receptances_in_slice.ravel()
-    tiled_frequency_ratios = np.tile(r, n_responses)
+    tiled_frequency_ratios = np.tile(frequency_ratios, n_responses)
     equation_weights = np.ones(len(receptance_vector))
     for _ in range(10):
         weighted_design_matrix = (

@@ -14,12 +14,13 @@ import numpy as np
 
 from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import Table, Tabular, format_count
 from fenics_crack.files.store import IDENTIFICATION_FILE_KIND, write_result_file
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
 from fenics_crack.monitoring.identification.nuisance import CRACK_SIZE_KEYS
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
-from fenics_crack.monitoring.identification.posterior import Posterior, PosteriorBranch
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
+from fenics_crack.monitoring.identification.posterior import Posterior, PosteriorForTextValues
 from fenics_crack.monitoring.identification.worth import (
     Worth,
     list_advice_texts,
@@ -48,6 +49,7 @@ NO_CRACK_VERDICT = "no crack"
 """Verdict that the plate has no crack."""
 
 
+@keep_old_attribute_names(misfit="misfit_chi_square_and_p_value", plain="posterior_without_crack")
 @dataclass(frozen=True, repr=False)
 class Identification(Tabular):
     """Result of :func:`identify`: unknowns with intervals, and whether there is a crack.
@@ -60,7 +62,7 @@ class Identification(Tabular):
         Measurements that the forward model predicts; others are left out.
     posterior : Posterior
         Posterior of the unknowns, on a grid.
-    plain : Posterior, optional
+    posterior_without_crack : Posterior, optional
         Posterior for the plate without its crack; None if the crack cannot be removed.
     remarks : tuple of str
         Limits of these measurements.
@@ -71,7 +73,7 @@ class Identification(Tabular):
     scene: Scene
     measurements: Measurements
     posterior: Posterior
-    plain: Posterior | None
+    posterior_without_crack: Posterior | None
     remarks: tuple[str, ...]
     doubts: tuple[str, ...]
 
@@ -101,11 +103,11 @@ class Identification(Tabular):
         (:attr:`Options.min_part_probability`) are left out.
         """
         return self.posterior.find_region_parts(
-            self._identify_table.confidence, IDENTIFICATION_OPTIONS.min_part_probability
+            self._identify_table.confidence, IDENTIFICATION_SETTINGS.min_part_probability
         )
 
     @cached_property
-    def _branch_and_unknowns_of_estimate(self) -> tuple[PosteriorBranch, np.ndarray]:
+    def _branch_and_unknowns_of_estimate(self) -> tuple[PosteriorForTextValues, np.ndarray]:
         """Return the posterior branch with the estimate, and the estimate (d,).
 
         A branch is the posterior for one choice of text values, as "left" for crack.edge. The
@@ -147,9 +149,9 @@ class Identification(Tabular):
 
         nan if the crack cannot be removed from the scene.
         """
-        if self.plain is None:
+        if self.posterior_without_crack is None:
             return math.nan
-        return self.posterior.log_evidence - self.plain.log_evidence
+        return self.posterior.log_evidence - self.posterior_without_crack.log_evidence
 
     @property
     def verdict(self) -> str:
@@ -190,34 +192,36 @@ class Identification(Tabular):
         Both follow from the p-values with and without a crack, the log Bayes factor, and the
         intervals.
         """
-        undecided_verdict, prior_by_key = "undecided", self.priors
-        if self.plain is None:
+        undecided_verdict, inference_setting_by_key = "undecided", self.priors
+        if self.posterior_without_crack is None:
             return (
                 undecided_verdict,
                 "there is no plate without a crack to compare with; name its mesh file in "
                 "identify.uncracked",
             )
-        required_p_value = 1.0 - prior_by_key["confidence"]
-        is_plate_possible = self.plain.misfit[1] >= required_p_value
+        required_p_value = 1.0 - inference_setting_by_key["confidence"]
+        is_plate_possible = (
+            self.posterior_without_crack.misfit_chi_square_and_p_value[1] >= required_p_value
+        )
         log_bayes_factor = self.log_bayes_factor
-        is_crack_favoured = log_bayes_factor > prior_by_key["log_bayes_factor"]
+        is_crack_favoured = log_bayes_factor > inference_setting_by_key["log_bayes_factor"]
         bayes_factor_text = f"the log Bayes factor of crack over no crack is {log_bayes_factor:.3g}"
-        if self.misfit[1] < required_p_value and not is_plate_possible:
+        if self.misfit_chi_square_and_p_value[1] < required_p_value and not is_plate_possible:
             reason_text = (
                 "neither a crack of this kind nor a plate without one explains the measurements"
             )
-            alternatives_text = (
+            possible_causes_text = (
                 "possible causes are two cracks, a crack of another kind or place, and a wrong "
                 "measurement"
             )
-            return undecided_verdict, f"{reason_text}; {alternatives_text} ({bayes_factor_text})"
+            return undecided_verdict, f"{reason_text}; {possible_causes_text} ({bayes_factor_text})"
         plate_condition_text = _describe_unchanged_plate_condition_or_empty(self)
         if is_crack_favoured and is_plate_possible:
             reason_text = (
                 "a plate without a crack, changed within the priors, explains the measurements, too"
             )
             return undecided_verdict, f"{reason_text} ({bayes_factor_text}){plate_condition_text}"
-        if log_bayes_factor < -prior_by_key["log_bayes_factor"]:
+        if log_bayes_factor < -inference_setting_by_key["log_bayes_factor"]:
             unseen_crack_text = (
                 f"{bayes_factor_text}; an undetected crack would have {_describe_intervals(self)}"
             )
@@ -228,19 +232,20 @@ class Identification(Tabular):
             return "crack", f"{bayes_factor_text}{warming_text}{conditions_text}"
         return (
             undecided_verdict,
-            f"{bayes_factor_text}, within ±{prior_by_key['log_bayes_factor']:.3g}, which decides "
+            f"{bayes_factor_text}, within ±{inference_setting_by_key['log_bayes_factor']:.3g}, "
+            "which decides "
             f"nothing: measure more; if there is a crack, it has {_describe_intervals(self)}"
             f"{conditions_text}",
         )
 
     @property
-    def misfit(self) -> tuple[float, float]:
+    def misfit_chi_square_and_p_value(self) -> tuple[float, float]:
         """Return (chi^2, p-value) at the maximum of the likelihood.
 
         The degrees of freedom are the number of measurements less the number of unknowns. Each load
         frequency and point with displacements subtracts 3 more. The minimum is 1.
         """
-        return self.posterior.misfit
+        return self.posterior.misfit_chi_square_and_p_value
 
     @property
     def advice(self) -> list[str]:
@@ -283,13 +288,18 @@ class Identification(Tabular):
         for branch in self.posterior.branch_by_words.values():
             model = branch.likelihood.predictor.model
             missing_keys = [
-                key for key in (*model.unknown_keys, *model.word_by_key) if key not in values
+                key
+                for key in (*model.unknown_keys, *model.text_value_by_unknown_key)
+                if key not in values
             ]
             if missing_keys:
                 raise InputError(
                     "values", dict(values), f"given with {', '.join(missing_keys)}, too"
                 )
-            if all(values[key] == word for key, word in model.word_by_key.items()):
+            if all(
+                values[key] == text_value
+                for key, text_value in model.text_value_by_unknown_key.items()
+            ):
                 x = np.array([float(values[key]) for key in model.unknown_keys])
                 return branch.interpolate_log_likelihood(
                     x
@@ -302,7 +312,7 @@ class Identification(Tabular):
         self,
         measurements: Sequence[Measurement] | None = None,
         *,
-        frequency_deviation: float = IDENTIFICATION_OPTIONS.advised_frequency_deviation,
+        frequency_deviation: float = IDENTIFICATION_SETTINGS.relative_frequency_deviation_in_advice,
         harmonic_deviation: float = 0.05,
     ) -> Worth:
         """Rank candidates for one more measurement by the information that each adds.
@@ -363,7 +373,7 @@ class Identification(Tabular):
     def summary(self) -> dict[str, Any]:
         """Return the whole result in words and numbers by key, as in ``identify.json``."""
         log_bayes_factor = self.log_bayes_factor
-        chi_square, p_value = self.misfit
+        chi_square, p_value = self.misfit_chi_square_and_p_value
         return {
             "verdict": self.verdict,
             "conclusion": self.conclusion,
@@ -388,16 +398,16 @@ class Identification(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns by name, with a row for every unknown with numbers."""
-        estimate, intervals = self.estimate, self.intervals
+        estimate_by_key, interval_by_key = self.estimate, self.intervals
         return {
             "unknown": list(self.unknown),
-            "estimate": [estimate[key] for key in self.unknown],
+            "estimate": [estimate_by_key[key] for key in self.unknown],
             "deviation": [
                 self.posterior.compute_deviation(unknown_index)
                 for unknown_index in range(len(self.unknown))
             ],
-            "low": [intervals[key][0] for key in self.unknown],
-            "high": [intervals[key][1] for key in self.unknown],
+            "low": [interval_by_key[key][0] for key in self.unknown],
+            "high": [interval_by_key[key][1] for key in self.unknown],
             "unit": [unit_of_key(key) for key in self.unknown],
         }
 
@@ -409,7 +419,7 @@ class Identification(Tabular):
         """
         branch, x = self._branch_and_unknowns_of_estimate
         likelihood = branch.likelihood
-        prediction = likelihood.predict_most_probable(x)
+        prediction = likelihood.predict_for_likeliest_face_state(x)
         prediction_deviations = np.where(
             prediction.is_predictable, np.sqrt(np.diag(prediction.covariance[0])), np.inf
         )
@@ -439,12 +449,12 @@ class Identification(Tabular):
         fit of the measurements. The last warnings are about unknowns that may lie outside the
         bounds of the search. With the verdict "no crack", only the first two kinds are returned.
         """
-        warning_texts = [*self.doubts, *_list_small_deviation_warnings(self.measurements)]
+        warning_texts = [*self.doubts, *_list_implausible_deviation_warnings(self.measurements)]
         alternatives = self.alternatives
         if self.verdict == NO_CRACK_VERDICT:
             return warning_texts
         if len(alternatives) > 1:
-            crack_texts = [
+            possible_crack_texts = [
                 " and ".join(
                     f"{key_in_words(unknown_key)} {value_in_words(unknown_key, unknown_value)}"
                     for unknown_key, unknown_value in value_by_key.items()
@@ -453,7 +463,8 @@ class Identification(Tabular):
                 for value_by_key, part_probability in alternatives
             ]
             warning_texts.append(
-                f"these cracks cannot be distinguished: {'; '.join(crack_texts)}; where_to_measure "
+                f"these cracks cannot be distinguished: {'; '.join(possible_crack_texts)}; "
+                "where_to_measure "
                 "lists measurements that help most"
             )
         warning_texts += _list_misfit_warnings(self)
@@ -489,7 +500,7 @@ class Identification(Tabular):
         return ", ".join(title_parts)
 
 
-def _list_small_deviation_warnings(measurements: Measurements) -> list[str]:
+def _list_implausible_deviation_warnings(measurements: Measurements) -> list[str]:
     """Return a warning about a natural frequency with a tiny standard deviation.
 
     The list has one sentence, for the first natural frequency with a standard deviation below 1e-5
@@ -516,12 +527,12 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
     explains the measurements; it names the worst measurement. The last follows if a plate without a
     crack explains all but a single measurement; it names each measurement that could be this one.
     """
-    chi_square, p_value = identification.misfit
+    chi_square, p_value = identification.misfit_chi_square_and_p_value
     rows, warning_texts = identification.measurements.rows, []
     required_p_value = 1.0 - identification.priors["confidence"]
     if (
         identification.posterior.unresolved_probability
-        > IDENTIFICATION_OPTIONS.min_part_probability
+        > IDENTIFICATION_SETTINGS.min_part_probability
     ):
         warning_texts.append(
             "the grid does not resolve "
@@ -529,39 +540,50 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
             "intervals may be far too small; use larger priors (identify.*_deviation), or measure "
             "more"
         )
-    n_current_rows = sum(measurement.quantity != "frequency_uncracked" for measurement in rows)
+    n_measurements_after_baseline = sum(
+        measurement.quantity != "frequency_uncracked" for measurement in rows
+    )
     if p_value < required_p_value:
-        misfit_text = f"chi^2 is {chi_square:.3g} for {format_count(len(rows), 'measurement')}"
-        if n_current_rows > 1:
+        total_chi_square_text = (
+            f"chi^2 is {chi_square:.3g} for {format_count(len(rows), 'measurement')}"
+        )
+        if n_measurements_after_baseline > 1:
             chi_squares_without_row = [
-                misfit_pair[0]
-                for misfit_pair in identification.posterior.misfits_without_each_measurement
+                chi_square
+                for chi_square, _ in identification.posterior.misfits_without_each_measurement
             ]
             worst_row_index = int(np.argmin(chi_squares_without_row))
-            misfit_text += (
+            total_chi_square_text += (
                 f", and {chi_squares_without_row[worst_row_index]:.3g} without "
                 f"{rows[worst_row_index].name}: check this measurement"
             )
-        warning_texts.append(f"no crack of this kind explains the measurements: {misfit_text}")
-    if (
-        n_current_rows > 1
-        and identification.plain is not None
-        and identification.plain.misfit[1] < required_p_value
-    ):
-        rows_and_misfits = zip(
-            rows, identification.plain.misfits_without_each_measurement, strict=True
+        warning_texts.append(
+            f"no crack of this kind explains the measurements: {total_chi_square_text}"
         )
-        if measurement_names := [
+    if (
+        n_measurements_after_baseline > 1
+        and identification.posterior_without_crack is not None
+        and identification.posterior_without_crack.misfit_chi_square_and_p_value[1]
+        < required_p_value
+    ):
+        rows_and_misfits_without_row = zip(
+            rows,
+            identification.posterior_without_crack.misfits_without_each_measurement,
+            strict=True,
+        )
+        if suspect_measurement_names := [
             measurement.name
-            for measurement, (_, p_value_without_row) in rows_and_misfits
+            for measurement, (_, p_value_without_row) in rows_and_misfits_without_row
             if p_value_without_row >= required_p_value
         ]:
-            rows_pronoun = "these" if len(measurement_names) > 1 else "it"
-            plate_text = (
+            rows_pronoun = "these" if len(suspect_measurement_names) > 1 else "it"
+            uncracked_plate_fits_others_text = (
                 "a plate without a crack explains the measurements without "
-                f"{' or without '.join(measurement_names)}"
+                f"{' or without '.join(suspect_measurement_names)}"
             )
-            warning_texts.append(f"{plate_text}: measure {rows_pronoun} again")
+            warning_texts.append(
+                f"{uncracked_plate_fits_others_text}: measure {rows_pronoun} again"
+            )
     return warning_texts
 
 
@@ -573,7 +595,7 @@ def _describe_single_crack_condition_or_empty(identification: Identification) ->
     may explain all measurements. If the condition is not needed, return "".
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
-    n_crack_unknowns = len(identify_table.mesh_axes) + sum(
+    n_crack_unknowns = len(identify_table.mesh_parameter_axes) + sum(
         unknown_axis.key.startswith("crack.") and not isinstance(unknown_axis.values[0], str)
         for unknown_axis in identify_table.unknown
     )
@@ -605,7 +627,7 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
     tried. Otherwise, and without a baseline, return "".
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
-    uncracked_posterior = identification.plain
+    uncracked_posterior = identification.posterior_without_crack
     has_baseline = any(measurement.quantity == "frequency_uncracked" for measurement in rows)
     thermal_frequency_change = abs(
         0.5
@@ -614,10 +636,12 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
     )
     required_p_value = 1.0 - identify_table.confidence
     largest_stated_change = max(identify_table.before_deviation, thermal_frequency_change)
-    clamp_deviation = identify_table.clamp_deviation
+    frequency_deviation_by_clamp = identify_table.clamp_deviation
     if uncracked_posterior is None or not has_baseline or largest_stated_change == 0.0:
         return ""
-    is_uncracked_explained = uncracked_posterior.misfit[1] >= required_p_value
+    is_uncracked_explained = (
+        uncracked_posterior.misfit_chi_square_and_p_value[1] >= required_p_value
+    )
     if (
         is_uncracked_explained
         and uncracked_posterior.compute_misfit_with_change_factors(temperature_factor=0.0)[1]
@@ -628,28 +652,29 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
             "explains the measurements without a crack: measure the temperature, too; or open and "
             "close the clamp, measure again, and give the change as identify.before_deviation"
         )
-    clamp_factor, temperature_factor = (
+    clamp_deviation_factor, temperature_deviation_factor = (
         0.0
         if is_uncracked_explained
-        else max(1.0, clamp_deviation / stated_change)
+        else max(1.0, frequency_deviation_by_clamp / stated_change)
         if stated_change
         else 1.0
         for stated_change in (identify_table.before_deviation, thermal_frequency_change)
     )
     misfit_with_changes = uncracked_posterior.compute_misfit_with_change_factors(
-        clamp_factor=clamp_factor, temperature_factor=temperature_factor
+        clamp_factor=clamp_deviation_factor, temperature_factor=temperature_deviation_factor
     )
     if (misfit_with_changes[1] >= required_p_value) == is_uncracked_explained:
         return ""
-    modulus_text = (
+    modulus_alternative_text = (
         f", or {_describe_modulus_change(identification, uncracked_posterior)},"
         if is_uncracked_explained
         else ""
     )
     return (
         "; a clamp, temperature or sensor that has changed frequencies by a relative "
-        f"{largest_stated_change if is_uncracked_explained else clamp_deviation:.2g}"
-        f"{modulus_text} explains the measurements without a crack: open and close the clamp, "
+        f"{largest_stated_change if is_uncracked_explained else frequency_deviation_by_clamp:.2g}"
+        f"{modulus_alternative_text} explains the measurements without a crack: open and close "
+        "the clamp, "
         "measure again, and give the change as identify.before_deviation (now "
         f"{identify_table.before_deviation:.2g})"
     )

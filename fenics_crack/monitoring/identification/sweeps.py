@@ -23,7 +23,7 @@ from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import MPI, StopRequest, on_root
 from fenics_crack.files.store import scene_text
 from fenics_crack.monitoring.identification.interpolation import (
-    MESH_AXIS_KEY,
+    MESH_FILE_AXIS_KEY,
     SolvedCases,
     SweptLoads,
 )
@@ -36,12 +36,12 @@ from fenics_crack.monitoring.identification.model import (
     has_load_independent_motion_shape,
 )
 from fenics_crack.monitoring.identification.nuisance import UncrackedPlate
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
 from fenics_crack.monitoring.identification.posterior import build_first_grid
 from fenics_crack.monitoring.identification.predictor import MeasurementPredictor
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.result_tables import MIN_ALLOWED_VALUES_PER_UNKNOWN, Identify, Sweep
+from fenics_crack.scene.result_tables import MIN_GRID_VALUES_PER_UNKNOWN, Identify, Sweep
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import refine_scene_or_none
 from fenics_crack.sweep.result import SweepResult, run_sweep
@@ -55,7 +55,7 @@ The last two may be None.
 """
 
 
-def find_largest_vibration_ratio_and_place(
+def find_vibration_ratio_to_solved_cracks(
     model: ForwardModel, load_frequency: float, point_name: str
 ) -> tuple[float, np.ndarray]:
     """Find the largest vibration of a point at cracks between solved ones.
@@ -77,7 +77,7 @@ def find_largest_vibration_ratio_and_place(
         MeasurementPredictor(model, [first_harmonic_measurement])(grid_points).values[:, 0]
     )
     largest_solved_amplitude = np.fmax.reduce(
-        np.abs(model.coarse_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
+        np.abs(model.coarse_mesh_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
     )
     largest_index = int(np.argmax(interpolated_amplitudes))
     vibration_ratio = (
@@ -177,7 +177,7 @@ def solve_forward(
         *identify_table.frequencies,
         swept_loads.frequencies[0],
     )
-    frequency_only_indices = [
+    frequency_only_load_indices = [
         load_index
         for load_index, frequency in enumerate(swept_loads.frequencies)
         if frequency not in vibration_frequencies
@@ -185,9 +185,15 @@ def solve_forward(
     scene_without_tables = scene.replace(dict.fromkeys(TABLES_WITHOUT_EFFECT_ON_FORWARD_MODEL))
     scene_pair = _list_coarse_and_fine_scenes(scene_without_tables, identify_table.finer)
     sweeper = _ForwardSweeper(
-        *scene_pair, identify_table, swept_loads, frequency_only_indices, folder, comm, progress
+        *scene_pair,
+        identify_table,
+        swept_loads,
+        frequency_only_load_indices,
+        folder,
+        comm,
+        progress,
     )
-    unknown_axes, remaining_axes = list(identify_table.unknown), [*refined_axes]
+    unknown_axes, refinements_to_apply = list(identify_table.unknown), [*refined_axes]
     sweep_result = sweeper.run_or_read_sweep(
         "forward", sweeper.coarse_scene, [*sweeper.mesh_file_axes, *unknown_axes]
     )
@@ -198,9 +204,9 @@ def solve_forward(
         refined_axis = _refine_axis_at_resonance_or_none(
             scene, model_by_words.values(), load_frequencies, unknown_axes
         )
-        if refined_axis is None and not remaining_axes:
+        if refined_axis is None and not refinements_to_apply:
             break
-        refined_axis = refined_axis or remaining_axes.pop(0)
+        refined_axis = refined_axis or refinements_to_apply.pop(0)
         sweep_result = sweeper.run_and_join_added_values(sweep_result, unknown_axes, refined_axis)
         unknown_axes = [
             refined_axis if axis.key == refined_axis.key else axis for axis in unknown_axes
@@ -208,18 +214,18 @@ def solve_forward(
     cracked_sweeps = sweeper.run_check_sweeps(
         "forward", {}, [*sweeper.mesh_file_axes, *unknown_axes], sweep_result
     )
-    removal_value_by_key = get_crack_removal_changes_or_none(scene)
-    if removal_value_by_key is None:
+    crack_removal_value_by_key = get_crack_removal_changes_or_none(scene)
+    if crack_removal_value_by_key is None:
         model_by_words = _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps)
         return SolvedForwardModels(scene, unknown_axes, model_by_words, {})
     uncracked_axes = [
         axis for axis in unknown_axes if not axis.key.startswith(("crack.", "contact."))
     ]
     uncracked_sweep = sweeper.run_or_read_sweep(
-        "uncracked", sweeper.coarse_scene.replace(removal_value_by_key), uncracked_axes
+        "uncracked", sweeper.coarse_scene.replace(crack_removal_value_by_key), uncracked_axes
     )
     uncracked_sweeps = sweeper.run_check_sweeps(
-        "uncracked", removal_value_by_key, uncracked_axes, uncracked_sweep
+        "uncracked", crack_removal_value_by_key, uncracked_axes, uncracked_sweep
     )
     return SolvedForwardModels(
         scene,
@@ -243,7 +249,7 @@ class _ForwardSweeper:
         Table ``[identify]``.
     swept_loads : SweptLoads
         Loads of all sweeps.
-    frequency_only_indices : list of int
+    frequency_only_load_indices : list of int
         Indices of loads at which only natural frequencies are needed.
     folder : path
         Folder of the files.
@@ -257,7 +263,7 @@ class _ForwardSweeper:
     fine_scene: Scene | None
     identify_table: Identify
     swept_loads: SweptLoads
-    frequency_only_indices: list[int]
+    frequency_only_load_indices: list[int]
     folder: Path
     comm: MPI.Comm
     shows_progress: bool
@@ -266,7 +272,9 @@ class _ForwardSweeper:
     def mesh_file_axes(self) -> list[Axis]:
         """Return the axis over the files of ``[identify.meshes]``; empty without the table."""
         identify_table = self.identify_table
-        return [Axis(MESH_AXIS_KEY, identify_table.mesh_files)] if identify_table.meshes else []
+        return (
+            [Axis(MESH_FILE_AXIS_KEY, identify_table.mesh_files)] if identify_table.meshes else []
+        )
 
     def run_or_read_sweep(
         self, sweep_name: str, case_scene: Scene, unknown_axes: Sequence[Axis]
@@ -283,7 +291,7 @@ class _ForwardSweeper:
         swept_axes = (*unknown_axes, self.swept_loads.sweep_axis)
         swept_scene = replace(case_scene, sweep=Sweep(over=swept_axes))
         file_name_digest = hashlib.sha256(
-            f"{scene_text(swept_scene)}{self.frequency_only_indices or ''}".encode()
+            f"{scene_text(swept_scene)}{self.frequency_only_load_indices or ''}".encode()
         ).hexdigest()[:8]
         with StopRequest() as stop_request:
             sweep_result = run_sweep(
@@ -293,7 +301,7 @@ class _ForwardSweeper:
                 progress=self.shows_progress,
                 verdicts=False,
                 judged=False,
-                natural=self.frequency_only_indices,
+                natural=self.frequency_only_load_indices,
             )
         if stop_request.is_requested(self.comm):
             raise StoppedError(
@@ -357,22 +365,22 @@ class _ForwardSweeper:
             ``all_cases_sweep``; the sweep on the finer mesh, None without ``fine_scene``; the sweep
             halfway between all cases, None with mesh files.
         """
-        identify_table, axis_keys = self.identify_table, [axis.key for axis in unknown_axes]
+        identify_table, unknown_axis_keys = self.identify_table, [axis.key for axis in unknown_axes]
         n_number_unknowns = sum(
             not isinstance(axis.values[0], str) for axis in identify_table.unknown
         )
-        n_kept_values = MIN_ALLOWED_VALUES_PER_UNKNOWN - (n_number_unknowns > 2)
+        n_kept_values = MIN_GRID_VALUES_PER_UNKNOWN - (n_number_unknowns > 2)
         finer_sweep = halfway_sweep = None
         if self.fine_scene is not None:
-            check_axes = [
+            finer_mesh_sweep_axes = [
                 axis
                 for axis in (*self.mesh_file_axes, *identify_table.unknown)
-                if axis.key in axis_keys
+                if axis.key in unknown_axis_keys
             ]
             finer_sweep = self.run_or_read_sweep(
                 f"{sweep_name}_finer",
                 self.fine_scene.replace(scene_changes),
-                _thin_axes(check_axes, n_kept_values),
+                _thin_axes(finer_mesh_sweep_axes, n_kept_values),
             )
         if not identify_table.meshes:
             halfway_axes = [
@@ -413,10 +421,10 @@ def _join_sweeps(
 def _count_allowed_cases(scene: Scene) -> int:
     """Return the maximum number of solved cases: 8 times those in ``[identify.unknown]``.
 
-    8 is :attr:`Options.max_solved_case_ratio`.
+    8 is :attr:`Options.max_solved_to_requested_case_ratio`.
     """
     unknown_axes = scene.given("identify").unknown
-    return IDENTIFICATION_OPTIONS.max_solved_case_ratio * math.prod(
+    return IDENTIFICATION_SETTINGS.max_solved_to_requested_case_ratio * math.prod(
         len(unknown_axis.values) for unknown_axis in unknown_axes
     )
 
@@ -445,29 +453,36 @@ def _refine_axis_at_resonance_or_none(
         Unknowns with their solved values.
     """
     models_loads_points = itertools.product(
-        models, load_frequencies, scene.label_by_point_name or ("",)
+        models, load_frequencies, scene.label_by_displacement_name or ("",)
     )
     ratios_models_loads_points = (
         []
         if has_load_independent_motion_shape(scene)
         else [
-            (find_largest_vibration_ratio_and_place(*model_load_point)[0], *model_load_point)
-            for model_load_point in models_loads_points
+            (
+                find_vibration_ratio_to_solved_cracks(*model_load_point_tuple)[0],
+                *model_load_point_tuple,
+            )
+            for model_load_point_tuple in models_loads_points
         ]
     )
     if (
         not ratios_models_loads_points
-        or max(ratio_model_load_point[0] for ratio_model_load_point in ratios_models_loads_points)
-        <= IDENTIFICATION_OPTIONS.allowed_vibration_ratio
+        or max(
+            ratio_model_load_point_tuple[0]
+            for ratio_model_load_point_tuple in ratios_models_loads_points
+        )
+        <= IDENTIFICATION_SETTINGS.max_vibration_ratio_to_solved_cracks
     ):
         return None
     vibration_ratio, model, load_frequency, point_name = max(
-        ratios_models_loads_points, key=lambda ratio_model_load_point: ratio_model_load_point[0]
+        ratios_models_loads_points,
+        key=lambda ratio_model_load_point_tuple: ratio_model_load_point_tuple[0],
     )
     log_amplitudes = np.log(
-        np.abs(model.coarse_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
+        np.abs(model.coarse_mesh_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
     ).reshape(model.unknown_grid.shape)
-    largest_step_by_key = {
+    largest_log_amplitude_step_by_key = {
         key: np.fmax.reduce(np.abs(np.diff(log_amplitudes, axis=axis_index)), axis=None)
         for axis_index, key in enumerate(model.unknown_keys)
     }
@@ -475,31 +490,34 @@ def _refine_axis_at_resonance_or_none(
     number_axes = [
         unknown_axis
         for unknown_axis in unknown_axes
-        if unknown_axis.key in largest_step_by_key and _is_divisible(unknown_axis)
+        if unknown_axis.key in largest_log_amplitude_step_by_key and _is_divisible(unknown_axis)
     ]
     for unknown_axis in sorted(
-        number_axes, key=lambda unknown_axis: -largest_step_by_key[unknown_axis.key]
+        number_axes, key=lambda unknown_axis: -largest_log_amplitude_step_by_key[unknown_axis.key]
     ):
-        n_axis_values = len(unknown_axis.values)
-        allowed_parts = (_count_allowed_cases(scene) * n_axis_values // n_cases - 1) // (
-            n_axis_values - 1
-        )
+        n_solved_axis_values = len(unknown_axis.values)
+        max_parts_per_interval = (
+            _count_allowed_cases(scene) * n_solved_axis_values // n_cases - 1
+        ) // (n_solved_axis_values - 1)
         n_parts_per_interval = min(
-            math.ceil(vibration_ratio / IDENTIFICATION_OPTIONS.allowed_vibration_ratio),
-            allowed_parts,
+            math.ceil(
+                vibration_ratio / IDENTIFICATION_SETTINGS.max_vibration_ratio_to_solved_cracks
+            ),
+            max_parts_per_interval,
         )
         if n_parts_per_interval > 1:
             value_coordinates = (
-                np.arange((n_axis_values - 1) * n_parts_per_interval + 1) / n_parts_per_interval
+                np.arange((n_solved_axis_values - 1) * n_parts_per_interval + 1)
+                / n_parts_per_interval
             )
             refined_axis_values = np.interp(
-                value_coordinates, np.arange(n_axis_values), unknown_axis.values
+                value_coordinates, np.arange(n_solved_axis_values), unknown_axis.values
             ).tolist()
             return Axis(unknown_axis.key, tuple(refined_axis_values))
     return None
 
 
-def refine_axis_by_share_or_none(
+def refine_by_interpolation_share_or_none(
     forward_models: SolvedForwardModels,
     identification: Identification,
     shares_along_unknowns: np.ndarray,
@@ -535,8 +553,10 @@ def refine_axis_by_share_or_none(
                 unknown_axis.key, tuple(sorted({*unknown_axis.values, *halfway_values}))
             )
             n_cases = math.prod(
-                len(solved_axis.values)
-                for solved_axis in (axis_by_key | {unknown_axis.key: refined_axis}).values()
+                len(axis_after_refinement.values)
+                for axis_after_refinement in (
+                    axis_by_key | {unknown_axis.key: refined_axis}
+                ).values()
             )
             return refined_axis if n_cases <= _count_allowed_cases(forward_models.scene) else None
     return None
@@ -549,18 +569,18 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
     the scene's own mesh is the fine mesh. The second scene is None if the ratio is 1, or if neither
     mesh nor number of harmonics can be changed.
     """
-    finer_value_by_key: dict[str, Any] = {}
+    more_harmonics_value_by_key: dict[str, Any] = {}
     if scene.harmonic_balance.tolerance is None and mesh_ratio > 1.0:
         n_harmonics = min(100, math.ceil(mesh_ratio * scene.harmonic_balance.harmonics))
-        finer_value_by_key = {
+        more_harmonics_value_by_key = {
             "harmonic_balance.harmonics": n_harmonics,
             "harmonic_balance.samples": None,
         }
     scene_with_other_mesh = None if mesh_ratio == 1.0 else refine_scene_or_none(scene, mesh_ratio)
-    if scene_with_other_mesh is None and not finer_value_by_key:
+    if scene_with_other_mesh is None and not more_harmonics_value_by_key:
         return scene, None
     return (
-        (scene, (scene_with_other_mesh or scene).replace(finer_value_by_key))
+        (scene, (scene_with_other_mesh or scene).replace(more_harmonics_value_by_key))
         if mesh_ratio > 1.0
         else (scene_with_other_mesh or scene, scene)
     )
@@ -632,16 +652,16 @@ def _build_models(
         The same cases without the crack. None if the crack cannot be removed, or if
         ``cracked_sweeps`` have no crack.
     """
-    mesh_number_axes = scene.given("identify").mesh_axes
+    mesh_file_parameter_axes = scene.given("identify").mesh_parameter_axes
     axes = [
         axis
         for axis in cracked_sweeps[0].axes[:-1]
-        if not (mesh_number_axes and axis.key == MESH_AXIS_KEY)
+        if not (mesh_file_parameter_axes and axis.key == MESH_FILE_AXIS_KEY)
     ]
     words_by_key = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}
     model_by_words = {}
     for chosen_words in itertools.product(*words_by_key.values()):
-        word_by_key = dict(zip(words_by_key, chosen_words, strict=True))
+        text_value_by_unknown_key = dict(zip(words_by_key, chosen_words, strict=True))
         coarse_finer_halfway_cases: list[SolvedCases | None] = []
         for sweep_result, uncracked_sweep in zip(
             cracked_sweeps, uncracked_sweeps or (None,) * 3, strict=True
@@ -649,16 +669,23 @@ def _build_models(
             uncracked_cases = (
                 None
                 if uncracked_sweep is None
-                else SolvedCases(uncracked_sweep, swept_loads, (), word_by_key)
+                else SolvedCases(uncracked_sweep, swept_loads, (), text_value_by_unknown_key)
             )
             coarse_finer_halfway_cases.append(
                 None
                 if sweep_result is None
                 else SolvedCases(
-                    sweep_result, swept_loads, mesh_number_axes, word_by_key, uncracked_cases
+                    sweep_result,
+                    swept_loads,
+                    mesh_file_parameter_axes,
+                    text_value_by_unknown_key,
+                    uncracked_cases,
                 )
             )
         model_by_words[", ".join(chosen_words)] = ForwardModel(
-            scene, uncracked_plate, coarse_finer_halfway_cases, word_by_key=word_by_key
+            scene,
+            uncracked_plate,
+            coarse_finer_halfway_cases,
+            text_value_by_unknown_key=text_value_by_unknown_key,
         )
     return model_by_words

@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.errors import check_number
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import Tabular
 from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.model import ForwardModel
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
 from fenics_crack.monitoring.identification.posterior import (
     Likelihood,
     add_uniform_prior_information,
@@ -41,7 +41,7 @@ from fenics_crack.scene.words import key_in_words, value_in_words
 from fenics_crack.sweep.file import STORED_MODE_NUMBERS
 
 
-@with_old_names(
+@keep_old_attribute_names(
     information="information_gains", deviations="improved_deviations_by_key",
     now="current_deviation_by_key",
 )  # fmt: skip
@@ -118,46 +118,59 @@ def rank_measurements_by_information(
     InputError
         A standard deviation is not > 0, or a measurement does not fit the forward model.
     """
-    argument_names = ("frequency_deviation", "harmonic_deviation")
-    for argument_name, deviation in zip(argument_names, default_relative_deviations, strict=True):
-        check_number(argument_name, deviation, 0.0, excludes_bound=True)
-    model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
-    candidate_rows = tuple(measurements or ())
-    for measurement in candidate_rows:
+    deviation_argument_names = ("frequency_deviation", "harmonic_deviation")
+    for argument_name, relative_deviation in zip(
+        deviation_argument_names, default_relative_deviations, strict=True
+    ):
+        check_number(argument_name, relative_deviation, 0.0, excludes_bound=True)
+    model, measurements_made = likelihood.predictor.model, likelihood.predictor.rows
+    candidate_measurements = tuple(measurements or ())
+    for measurement in candidate_measurements:
         measurement.check(model.scene)
     if measurements is None:
-        candidate_rows = tuple(_list_default_candidates(model, measured_rows))
-    n_measured_rows = len(measured_rows)
-    predictor = likelihood.predictor.make_predictor(measured_rows, candidate_rows)
+        candidate_measurements = tuple(_list_default_candidates(model, measurements_made))
+    n_measured_rows = len(measurements_made)
+    predictor = likelihood.predictor.make_predictor(measurements_made, candidate_measurements)
     predictions = predictor(x[None]).values[0]
-    candidate_deviations = np.array([measurement.deviation for measurement in candidate_rows])
-    if measurements is None:
-        candidate_deviations = _assume_candidate_deviations(
-            candidate_rows, predictions[n_measured_rows:], default_relative_deviations
-        )
-    is_usable = np.isfinite(predictions[n_measured_rows:]) & (candidate_deviations > 0.0)
-    all_deviations = np.concatenate(
-        [likelihood.measurement_deviations, np.where(is_usable, candidate_deviations, 1.0)]
+    candidate_measurement_deviations = np.array(
+        [measurement.deviation for measurement in candidate_measurements]
     )
-    covariance_and_slopes = _compute_scaled_covariance_and_slopes(predictor, x, all_deviations)
-    measured_indices = np.arange(n_measured_rows)
-    measured_log_information, measured_deviation_by_key = _compute_information_and_deviations(
-        model, x, covariance_and_slopes, measured_indices
+    if measurements is None:
+        candidate_measurement_deviations = _assume_candidate_deviations(
+            candidate_measurements, predictions[n_measured_rows:], default_relative_deviations
+        )
+    is_usable = np.isfinite(predictions[n_measured_rows:]) & (
+        candidate_measurement_deviations > 0.0
+    )
+    all_measurement_deviations = np.concatenate(
+        [
+            likelihood.measurement_deviations,
+            np.where(is_usable, candidate_measurement_deviations, 1.0),
+        ]
+    )
+    covariance_and_slopes = _compute_scaled_covariance_and_slopes(
+        predictor, x, all_measurement_deviations
+    )
+    measured_row_indices = np.arange(n_measured_rows)
+    measured_log_information, current_unknown_deviation_by_key = (
+        _compute_information_and_deviations(model, x, covariance_and_slopes, measured_row_indices)
     )
     candidate_results = [
         _compute_information_and_deviations(
             model,
             x,
             covariance_and_slopes,
-            np.append(measured_indices, n_measured_rows + candidate_index),
+            np.append(measured_row_indices, n_measured_rows + candidate_index),
         )
-        for candidate_index in range(len(candidate_rows))
+        for candidate_index in range(len(candidate_measurements))
     ]
-    candidate_log_information = np.array(
-        [log_information for log_information, _ in candidate_results]
+    log_information_with_each_candidate = np.array(
+        [log_information_with_candidate for log_information_with_candidate, _ in candidate_results]
     )
     # Below 0 by rounding.
-    information_gains = 0.5 * np.maximum(candidate_log_information - measured_log_information, 0.0)
+    information_gains = 0.5 * np.maximum(
+        log_information_with_each_candidate - measured_log_information, 0.0
+    )
     ranked_indices = [
         int(candidate_index)
         for candidate_index in np.argsort(-information_gains, kind="stable")
@@ -166,9 +179,9 @@ def rank_measurements_by_information(
     return Worth(
         tuple(
             replace(
-                candidate_rows[candidate_index],
+                candidate_measurements[candidate_index],
                 value=float(predictions[n_measured_rows + candidate_index]),
-                deviation=float(candidate_deviations[candidate_index]),
+                deviation=float(candidate_measurement_deviations[candidate_index]),
             )
             for candidate_index in ranked_indices
         ),
@@ -179,7 +192,7 @@ def rank_measurements_by_information(
             )
             for key in model.unknown_keys
         },
-        measured_deviation_by_key,
+        current_unknown_deviation_by_key,
     )
 
 
@@ -222,9 +235,12 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
         for measurement in measured_rows
         if measurement.quantity == "frequency_uncracked"
     }
-    advice_texts, relative_deviation = [], IDENTIFICATION_OPTIONS.advised_frequency_deviation
-    if model.coarse_cases.uncracked_cases is not None and (
-        missing_modes := sorted(measured_modes - calibrated_modes)
+    advice_texts, relative_deviation = (
+        [],
+        IDENTIFICATION_SETTINGS.relative_frequency_deviation_in_advice,
+    )
+    if model.coarse_mesh_cases.uncracked_cases is not None and (
+        modes_without_uncracked_frequency := sorted(measured_modes - calibrated_modes)
     ):
         missing_measurements = [
             Measurement(
@@ -236,29 +252,32 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
             for mode, natural_frequency in enumerate(
                 model.uncracked_plate.natural_frequencies_hz.tolist(), 1
             )
-            if mode in missing_modes
+            if mode in modes_without_uncracked_frequency
         ]
         modes_text = (
-            f"{'ies' if len(missing_modes) > 1 else 'y'} {', '.join(map(str, missing_modes))}"
+            f"{'ies' if len(modes_without_uncracked_frequency) > 1 else 'y'} "
+            f"{', '.join(map(str, modes_without_uncracked_frequency))}"
         )
         missing_frequencies_text = (
             f"natural frequenc{modes_text} without the crack (frequency_uncracked)"
         )
-        if gain_text := _describe_gain_or_empty(
+        if deviation_reduction_text := _describe_gain_or_empty(
             worth.current_deviation_by_key,
             _compute_deviation_by_key_with(likelihood, x, missing_measurements),
         ):
             advice_texts.append(
                 f"{missing_frequencies_text}, with a standard deviation of "
-                f"{relative_deviation:.1%}: {gain_text}"
+                f"{relative_deviation:.1%}: {deviation_reduction_text}"
             )
     if worth.measurements:
         deviation_by_key = {
             key: float(deviations[0])
             for key, deviations in worth.improved_deviations_by_key.items()
         }
-        if gain_text := _describe_gain_or_empty(worth.current_deviation_by_key, deviation_by_key):
-            advice_texts.append(f"{worth.measurements[0].name}: {gain_text}")
+        if deviation_reduction_text := _describe_gain_or_empty(
+            worth.current_deviation_by_key, deviation_by_key
+        ):
+            advice_texts.append(f"{worth.measurements[0].name}: {deviation_reduction_text}")
     return advice_texts
 
 
@@ -279,9 +298,10 @@ def _describe_gain_or_empty(
         for key in current_deviation_by_key
     )
     return ", ".join(
-        f"{key_in_words(key)} then ± {improved_text} instead of ± {current_text}"
-        for key, improved_text, current_text in keys_and_deviation_texts
-        if improved_text != current_text
+        f"{key_in_words(key)} then ± {improved_deviation_text} instead of ± "
+        f"{current_deviation_text}"
+        for key, improved_deviation_text, current_deviation_text in keys_and_deviation_texts
+        if improved_deviation_text != current_deviation_text
     )
 
 
@@ -294,7 +314,7 @@ def _compute_deviation_by_key_with(
     """
     model = likelihood.predictor.model
     predictor = likelihood.predictor.make_predictor(likelihood.predictor.rows, further_measurements)
-    all_deviations = np.concatenate(
+    all_measurement_deviations = np.concatenate(
         [
             likelihood.measurement_deviations,
             [measurement.deviation for measurement in further_measurements],
@@ -303,8 +323,8 @@ def _compute_deviation_by_key_with(
     return _compute_information_and_deviations(
         model,
         x,
-        _compute_scaled_covariance_and_slopes(predictor, x, all_deviations),
-        np.arange(len(all_deviations)),
+        _compute_scaled_covariance_and_slopes(predictor, x, all_measurement_deviations),
+        np.arange(len(all_measurement_deviations)),
     )[1]
 
 
@@ -336,20 +356,20 @@ def _compute_information_and_deviations(
         Standard deviation of each unknown by key, for the real crack. It includes the deviation
         from the equivalent straight, sharp crack.
     """
-    selected_covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
+    selected_measurement_covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
     selected_slopes = covariance_and_slopes[1][row_indices]
     fisher_information = add_uniform_prior_information(
-        selected_slopes.T @ np.linalg.solve(selected_covariance, selected_slopes)
+        selected_slopes.T @ np.linalg.solve(selected_measurement_covariance, selected_slopes)
     )
-    equivalent_deviations = np.sqrt(np.diag(np.linalg.inv(fisher_information))) * (
+    deviations_of_equivalent_crack = np.sqrt(np.diag(np.linalg.inv(fisher_information))) * (
         model.unknown_grid.upper_bounds - model.unknown_grid.lower_bounds
     )
-    crack_and_fit_deviations = np.hypot(
-        equivalent_deviations, model.compute_deviations_from_equivalent_crack(x[None])[0]
+    deviations_of_real_crack = np.hypot(
+        deviations_of_equivalent_crack, model.compute_crack_geometry_deviations(x[None])[0]
     )
     log_information = float(np.linalg.slogdet(fisher_information)[1])
     return log_information, dict(
-        zip(model.unknown_keys, crack_and_fit_deviations.tolist(), strict=True)
+        zip(model.unknown_keys, deviations_of_real_crack.tolist(), strict=True)
     )
 
 
@@ -363,28 +383,34 @@ def _list_default_candidates(
     at a load frequency, more of them are added, at 24 phases of the load's period. Their standard
     deviation is the median of the measured ones.
     """
-    coarse_cases = model.coarse_cases
+    coarse_mesh_cases = model.coarse_mesh_cases
     quantity_names = ["frequency_open", "frequency_tied", "frequency_resonance"]
-    if coarse_cases.uncracked_cases is not None:
+    if coarse_mesh_cases.uncracked_cases is not None:
         quantity_names.append("frequency_uncracked")
     candidates = [
         Measurement(quantity_name, 1.0, 1.0, mode)
         for quantity_name in quantity_names
         for mode in STORED_MODE_NUMBERS
     ]
-    point_names = ["", *coarse_cases.sweep_result.scene.label_by_point_name]
+    point_names = ["", *coarse_mesh_cases.sweep_result.scene.label_by_displacement_name]
     candidates += [
         Measurement(ratio_name, 1.0, 1.0, frequency=load_frequency, point=point_name)
-        for load_frequency in coarse_cases.swept_loads.frequencies
+        for load_frequency in coarse_mesh_cases.swept_loads.frequencies
         for point_name in point_names
         for ratio_name in ("ratio_2_1", "ratio_3_1")
     ]
     phases = 2.0 * np.pi * np.arange(24) / 24
-    for probe_group in ProbeDisplacements.group_displacements(measured_rows, ()):
-        group_rows = [measured_rows[row_index] for row_index in probe_group.row_indices]
+    for displacement_group in ProbeDisplacements.group_displacements_by_load_and_point(
+        measured_rows, ()
+    ):
+        group_rows = [measured_rows[row_index] for row_index in displacement_group.row_indices]
         median_deviation = float(np.median([measurement.deviation for measurement in group_rows]))
-        probe_row = replace(group_rows[0], value=0.0, deviation=median_deviation)
-        candidates += [replace(probe_row, phase=phase) for phase in phases.tolist()]
+        displacement_candidate_template = replace(
+            group_rows[0], value=0.0, deviation=median_deviation
+        )
+        candidates += [
+            replace(displacement_candidate_template, phase=phase) for phase in phases.tolist()
+        ]
     return candidates
 
 
@@ -405,16 +431,18 @@ def _compute_scaled_covariance_and_slopes(
         prediction.
     """
     prediction, unknown_grid = predictor(x[None]), predictor.model.unknown_grid
-    scaled_covariance = compute_scaled_covariance(
+    scaled_measurement_covariance = compute_scaled_covariance(
         prediction, np.nan_to_num(prediction.values[0]), deviations
     )[0]
     difference_step_matrix = np.diag(1e-3 * (unknown_grid.upper_bounds - unknown_grid.lower_bounds))
     upper_points = np.minimum(x + difference_step_matrix, unknown_grid.upper_bounds)
     lower_points = np.maximum(x - difference_step_matrix, unknown_grid.lower_bounds)
-    relative_distances = np.diag(upper_points - lower_points) / (
+    difference_steps_over_ranges = np.diag(upper_points - lower_points) / (
         unknown_grid.upper_bounds - unknown_grid.lower_bounds
     )
     value_differences = predictor(upper_points).values - predictor(lower_points).values
-    scaled_slopes = (value_differences / relative_distances[:, None]).T / deviations[:, None]
+    scaled_slopes = (value_differences / difference_steps_over_ranges[:, None]).T / deviations[
+        :, None
+    ]
     scaled_slopes[~np.isfinite(scaled_slopes).all(axis=1)] = 0.0
-    return scaled_covariance, scaled_slopes
+    return scaled_measurement_covariance, scaled_slopes

@@ -175,7 +175,10 @@ def test_higher_modes_on_few_heights(scene: fc.Scene, tmp_path: Path) -> None:
         truth = {"crack.length": length, "crack.height": height}
         rows = natural_of(measured(scene, dict(truth), int(1e4 * length)))
         identification = fc.identify(scene, rows + uncracked_rows, unknown, folder=tmp_path)
-        assert identification.contains(truth) and identification.misfit[1] > 1e-3
+        assert (
+            identification.contains(truth)
+            and identification.misfit_chi_square_and_p_value[1] > 1e-3
+        )
 
 
 @pytest.mark.nightly
@@ -272,7 +275,7 @@ def test_crack_from_arrivals(scene: fc.Scene, folder: Path) -> None:
     assert (
         joint_identification.verdict == "crack"
         and joint_identification.contains(truth)
-        and joint_identification.misfit[1] > 0.01
+        and joint_identification.misfit_chi_square_and_p_value[1] > 0.01
     )
     single_identification = fc.identify(
         scene.replace({"identify.frequencies": (700.0,)}), measurements, folder=folder
@@ -337,7 +340,9 @@ def test_arrivals_at_other_speeds_of_the_rotor(tmp_path: Path, run_command: RunC
     identification = fc.identify(
         scene, fc.Measurements.from_arrivals(arrivals, 5, "tip.ux"), folder=tmp_path
     )
-    assert identification.verdict == "crack" and identification.misfit[1] > 0.01
+    assert (
+        identification.verdict == "crack" and identification.misfit_chi_square_and_p_value[1] > 0.01
+    )
     assert identification.contains({"crack.length": 0.008})
     assert identification.estimate["crack.length"] == pytest.approx(0.008, rel=0.1)
     assert not any(
@@ -448,7 +453,7 @@ def test_harmonics_above_those_of_the_model(scene: fc.Scene, folder: Path) -> No
         arrivals = arrivals_of(scene.replace({"identify": None} | truth), 5, 0.01, seed)
         joint_measurements = measurements + fc.Measurements.from_arrivals(arrivals, 5, "tip.ux")
         identification = fc.identify(exact, joint_measurements, folder=folder)
-        chi2 += identification.misfit[0]
+        chi2 += identification.misfit_chi_square_and_p_value[0]
         heights.append(identification.estimate["crack.height"])
     assert chi2 < chdtri(3 * 5, 0.05)
     assert np.mean(heights) == pytest.approx(0.07, rel=0.2)
@@ -725,7 +730,7 @@ def test_two_cracks(scene: fc.Scene, folder: Path) -> None:
         identification = fc.identify(scene, measurements, folder=folder)
         assert (
             identification.verdict == "undecided"
-            and 1e-3 * (count == 3) < identification.misfit[1] < 0.01
+            and 1e-3 * (count == 3) < identification.misfit_chi_square_and_p_value[1] < 0.01
         )
 
 

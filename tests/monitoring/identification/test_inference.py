@@ -26,7 +26,7 @@ from test_identify import PROBES, SPINNING, command_of_one_unknown
 import fenics_crack as fc
 from fenics_crack import SweepResult
 from fenics_crack.basics.errors import StoppedError
-from fenics_crack.monitoring.identification.identify import list_measurement_limit_remarks
+from fenics_crack.monitoring.identification.identify import list_measurement_shortcoming_remarks
 from fenics_crack.monitoring.identification.interpolation import (
     Interpolation,
     UnknownGrid,
@@ -34,11 +34,15 @@ from fenics_crack.monitoring.identification.interpolation import (
 )
 from fenics_crack.monitoring.identification.nuisance import (
     UncrackedPlate,
-    compute_deviations_from_equivalent_crack,
+    compute_crack_geometry_deviations,
 )
-from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, PosteriorBranch
+from fenics_crack.monitoring.identification.posterior import (
+    Likelihood,
+    Posterior,
+    PosteriorForTextValues,
+)
 from fenics_crack.monitoring.identification.predictor import (
-    MeasurementPrediction,
+    MeasurementPredictions,
     ProbeDisplacements,
 )
 from fenics_crack.monitoring.identification.worth import (
@@ -160,27 +164,27 @@ class Linear:
     def scene(self) -> fc.Scene:
         return fc.Scene.from_text(identification.SCENE)
 
-    def compute_deviations_from_equivalent_crack(self, x: np.ndarray) -> np.ndarray:
+    def compute_crack_geometry_deviations(self, x: np.ndarray) -> np.ndarray:
         return np.zeros_like(x)
 
     def make_predictor(self, rows: Any, more_rows: Any = ()) -> Any:
         places = [*range(len(self.matrix)), *range(len(more_rows))]
         return replace(self, matrix=self.matrix[places], offset=self.offset[places])
 
-    def __call__(self, x: np.ndarray) -> MeasurementPrediction:
+    def __call__(self, x: np.ndarray) -> MeasurementPredictions:
         return exact(x @ self.matrix.T + self.offset)
 
     def iterate_face_state_predictions(
         self, x: np.ndarray
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPredictions]]:
         """One alone."""
         yield np.arange(len(x)), np.ones(len(x)), self(x)
 
 
-def exact(values: np.ndarray) -> MeasurementPrediction:
+def exact(values: np.ndarray) -> MeasurementPredictions:
     """Predictions (m, q) without an error."""
     (m, q), is_known = values.shape, np.ones(values.shape[1], dtype=bool)
-    return MeasurementPrediction(values, np.zeros((m, q, q)), np.zeros((m, q, 0)), is_known)
+    return MeasurementPredictions(values, np.zeros((m, q, q)), np.zeros((m, q, 0)), is_known)
 
 
 def test_ridge_that_is_narrower_than_the_grid() -> None:
@@ -191,7 +195,7 @@ def test_ridge_that_is_narrower_than_the_grid() -> None:
     for deviation, is_resolved in ((1.0, True), (0.4, True), (1e-2, False), (1e-4, False)):
         model: Any = Linear(np.array([[1.0, 0.37]]), np.zeros(1), cube)
         likelihood = Likelihood(np.array([9.13]), np.array([deviation]), model)
-        posterior = Posterior({"": PosteriorBranch(likelihood)})
+        posterior = Posterior({"": PosteriorForTextValues(likelihood)})
         assert (posterior.unresolved_probability < 0.01) == is_resolved
         assert (posterior.unresolved_probability > 0.3) != is_resolved
         # Of that posterior: along the ridge both are uniform.
@@ -213,7 +217,7 @@ def test_linear_model() -> None:
         deviations,
         Linear(matrix, np.full(3, 5.0), cube, rows=(None,) * 3),  # type: ignore[arg-type]
     )
-    posterior = Posterior({"": PosteriorBranch(likelihood)})
+    posterior = Posterior({"": PosteriorForTextValues(likelihood)})
     weights = matrix / deviations[:, None]
     covariance = np.linalg.inv(weights.T @ weights)
     np.testing.assert_allclose(posterior.best_words_and_unknowns[1], truth, atol=1e-6)
@@ -260,7 +264,7 @@ def test_misfit_of_what_is_fitted() -> None:
         total, chance = likelihood.compute_chi_square_and_p_value(x)
         chances.append(chance)
     assert kstest(chances, "uniform").pvalue > 0.01
-    posterior = Posterior({"": PosteriorBranch(likelihood)})
+    posterior = Posterior({"": PosteriorForTextValues(likelihood)})
     remaining_misfits = (total - ((values - matrix @ x) / 0.1) ** 2).tolist()
     assert [misfit[0] for misfit in posterior.misfits_without_each_measurement] == pytest.approx(
         remaining_misfits, rel=1e-3
@@ -273,7 +277,7 @@ def test_picture_of_one_unknown() -> None:
     cube = UnknownGrid((np.linspace(0.0, 0.1, 4), np.linspace(0.0, 0.2, 4)))
     linear = Linear(np.eye(2), np.zeros(2), cube, rows=(None,) * 2)
     likelihood = Likelihood(np.array([0.03, 0.08]), np.array([1e-3, 4e-3]), linear)  # type: ignore[arg-type]
-    posterior = Posterior({"": PosteriorBranch(likelihood)})
+    posterior = Posterior({"": PosteriorForTextValues(likelihood)})
     keys = ("crack.length", "crack.height")
     found: Any = type("Identification", (SimpleNamespace,), {})(
         unknown=keys,
@@ -307,7 +311,7 @@ class Advised(Linear):
     row."""
 
     @property
-    def coarse_cases(self) -> Any:
+    def coarse_mesh_cases(self) -> Any:
         return SimpleNamespace(uncracked_cases=True)
 
     @property
@@ -350,7 +354,7 @@ class Rows(Linear):
 class Even(Linear):
     """s = (x - 5)^2, which does not tell 2 from 8."""
 
-    def __call__(self, x: np.ndarray) -> MeasurementPrediction:
+    def __call__(self, x: np.ndarray) -> MeasurementPredictions:
         return exact(np.column_stack([(x[:, 0] - 5.0) ** 2, x[:, 1]]))
 
 
@@ -359,7 +363,7 @@ def test_two_that_cannot_be_told_apart() -> None:
     cube = UnknownGrid((np.linspace(0.0, 10.0, 4), np.linspace(0.0, 20.0, 4)))
     even_likelihood = Even(np.zeros((2, 2)), np.zeros(2), cube)
     likelihood = Likelihood(np.array([9.0, 4.0]), np.array([0.3, 0.2]), even_likelihood)  # type: ignore[arg-type]
-    parts = Posterior({"": PosteriorBranch(likelihood)}).find_region_parts(0.95, 0.03)
+    parts = Posterior({"": PosteriorForTextValues(likelihood)}).find_region_parts(0.95, 0.03)
     assert sorted(round(float(x[0]), 1) for _, x, _ in parts) == [2.0, 8.0]
     assert all(mass == pytest.approx(0.475, abs=0.02) for *_, mass in parts)
 
@@ -759,13 +763,13 @@ def test_remark_on_the_size_of_the_load() -> None:
     """With a clearance or a steady force the shape of a motion depends on it; amplitudes always."""
     scene = fc.Scene.from_text(identification.SCENE)
     row = fc.Measurement("ratio_2_1", 0.1, 0.01, frequency=700.0)
-    assert list_measurement_limit_remarks(scene, fc.Measurements((row,))) == ()
+    assert list_measurement_shortcoming_remarks(scene, fc.Measurements((row,))) == ()
     for key, value in {"crack.clearance": 1e-6, "excitation.force_mean": (0.0, 5.0)}.items():
         changed_scene = scene.replace({key: value})
-        [remark] = list_measurement_limit_remarks(changed_scene, fc.Measurements((row,)))
+        [remark] = list_measurement_shortcoming_remarks(changed_scene, fc.Measurements((row,)))
         assert remark.startswith("with a clearance or a steady load")
         assert (
-            list_measurement_limit_remarks(
+            list_measurement_shortcoming_remarks(
                 changed_scene, fc.Measurements((replace(row, quantity="harmonic_1"),))
             )
             == ()
@@ -794,7 +798,7 @@ def test_an_inclined_crack_acts_at_its_tip(tmp_path: Path) -> None:
         log_changes.append((side * tilted, side * straight))
     tilted, straight = np.sum(log_changes, axis=0)
     assert 0.8 < tilted @ straight / (straight @ straight) < 1.15
-    deviations = compute_deviations_from_equivalent_crack(
+    deviations = compute_crack_geometry_deviations(
         np.array([[length, height]]), ("crack.length", "crack.height"), scene
     )
     assert deviations[0, 1] == pytest.approx(length * np.tan(np.radians(5.0)))
@@ -842,7 +846,11 @@ def test_stops_at_ctrl_c(
             signal.raise_signal(signal.SIGINT)
         record(*arguments)
 
-    wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.write_pending_cases", interrupted)
+    wrap(
+        monkeypatch,
+        "fenics_crack.sweep.file.SweepFile.write_cases_unless_already_stored",
+        interrupted,
+    )
     messages = run_command(*little, code=3).err
     assert "fenics-crack: identification was stopped; run the same command again" in messages
     [path] = (tmp_path / "out").iterdir()  # no file of what was found
@@ -886,7 +894,9 @@ def test_cases_that_failed(
             case["status"] = "no luck"
         record(file, numbers, cases)
 
-    wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.write_pending_cases", failing)
+    wrap(
+        monkeypatch, "fenics_crack.sweep.file.SweepFile.write_cases_unless_already_stored", failing
+    )
     scene = fc.Scene.load(tmp_path / "plate.toml").replace(
         {"identify.unknown": {"crack.length": [0.01, 0.015, 0.02, 0.025, 0.03]}}
     )

@@ -62,7 +62,7 @@ def test_each_at_its_own_speed(scene: fc.Scene, folder: Path) -> None:
     assert (
         identification.verdict == "crack"
         and identification.contains(TRUE)
-        and identification.misfit[1] > 0.5
+        and identification.misfit_chi_square_and_p_value[1] > 0.5
     )
     assert identification.estimate["crack.length"] == pytest.approx(0.008, rel=0.02)
     assert identification.fit_table().rows[1][0] == "frequency_open of mode 1 at 1500 rpm"
