@@ -801,7 +801,7 @@ def orbit_solution_to_tolerance(
     if balances_more_modes:
         more_modes = _more_modes_with_balanced_orbit(problem, solution_with_harmonics, more_modes)
     reduction_error, displacement_at_load_error = _modal_truncation_errors(
-        problem, solution_with_harmonics, more_modes
+        problem, solution_with_harmonics, more_modes, balances_more_modes
     )
     allowed_harmonics_error = _allowed_harmonics_error(tolerance, reduction_error)
     n_insufficient_harmonics, solution = 0, solution_with_harmonics(problem.harmonics)
@@ -902,13 +902,15 @@ def _modal_truncation_errors(
     problem: Problem,
     solution_with_harmonics: Callable[[int], PeriodicSolution],
     more_modes: MoreModesComparison | None,
+    balances_more_modes: bool,
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
     The errors follow from the orbit with more modes, if that orbit is found. Otherwise harmonic
-    balance with 40 harmonics of the load frequency computes them. If the predicted change is too
-    large, or harmonic balance fails, they follow from one Newton step. ``solution_with_harmonics``
-    returns the orbit's series with a given number of harmonics.
+    balance with 40 harmonics of the load frequency computes them, if ``balances_more_modes`` allows
+    it. If the predicted change is too large, or harmonic balance fails or is not allowed, they
+    follow from one Newton step. ``solution_with_harmonics`` returns the orbit's series with a given
+    number of harmonics.
 
     Returns
     -------
@@ -920,7 +922,9 @@ def _modal_truncation_errors(
     if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
         return 0.0, 0.0
     if more_modes is None or (
-        more_modes.orbit is None and not more_modes.is_predicted_change_too_large
+        balances_more_modes
+        and more_modes.orbit is None
+        and not more_modes.is_predicted_change_too_large
     ):
         n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
         solver_with_many_harmonics = Solver(problem.with_harmonics(n_harmonics))

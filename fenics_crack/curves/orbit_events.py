@@ -189,8 +189,8 @@ class MultiplierStepControl(StepRejectionRule):
     - linear extrapolation of the sorted ln |mu| has an error above the same limit.
 
     A step above 0.02 ``longest_step`` is rejected if two multipliers collide with a severity above
-    0.5 (:func:`step_collision_severities`). Any step is rejected if two counts of multipliers
-    outside the unit circle change, or if a count changes by more than 1.
+    1 (:func:`step_collision_severities`): one would leave the unit circle. Any step is rejected if
+    two counts of multipliers outside the unit circle change, or if a count changes by more than 1.
     """
 
     def __init__(self, longest_step: float) -> None:
@@ -217,7 +217,7 @@ class MultiplierStepControl(StepRejectionRule):
             is_coarse[1:] |= np.any(prediction_error > allowed_log_change[1:], axis=1)
         n_states = math.isqrt(segment.records.shape[1])
         monodromy_matrices = segment.records[first_index:].reshape(-1, n_states, n_states)
-        has_collision = step_collision_severities(monodromy_matrices) > 0.5
+        has_collision = step_collision_severities(monodromy_matrices) > 1.0
         is_coarse, step_lengths = is_coarse[first_index:], step_lengths[first_index:]
         is_coarse &= step_lengths > self._min_step
         is_coarse |= has_collision & (step_lengths > self._min_collision_step)
