@@ -493,7 +493,7 @@ class Resonance:
         ----------
         neighbour : Resonance
             Resonance near in speed.
-        record, displacements : Record, (revolutions, probes) [m]
+        record, displacements : ArrivalsWithStiffeningLaw, (revolutions, probes) [m]
             Record, and displacements with the motion of both resonances, but no further one.
         orders : (n,)
             Candidate orders of both resonances.
@@ -574,7 +574,7 @@ class Resonance:
 
         Parameters
         ----------
-        record : Record
+        record : ArrivalsWithStiffeningLaw
             Arrivals, and the stiffening of modes.
         residuals : (revolutions, probes) [m]
             Displacements without the motion of ``resonances``.

@@ -65,7 +65,7 @@ class Run:
 
     Parameters
     ----------
-    record : Record
+    record : ArrivalsWithStiffeningLaw
         Arrivals, and the stiffening of modes.
     displacements : (revolutions, probes) [m]
         Displacements in the whole record, without the vibrations found before.
