@@ -216,13 +216,12 @@ class ArrivalTimes(Tabular):
         """Check that arrivals are at the right probe and in the right revolution.
 
         Used before a fit, which would take a wrong place for a vibration. The check compares each
-        probe's angle with the median angle at which arrivals are measured there. A difference
-        common to all probes is allowed.
+        probe's angle with the median measured angle. A difference common to all probes is allowed.
 
         Parameters
         ----------
         angle_deviation : float [rad]
-            Standard deviation of the probe angles. It must be >= 0; the comparison does not use it.
+            Probe angles' standard deviation. Must be >= 0; the comparison does not use this number.
 
         Raises
         ------
@@ -318,8 +317,8 @@ class ArrivalTimes(Tabular):
         - ``arrival [s]``: time of arrival; the cell is empty for a missed arrival,
         - ``tip_radius [m]``: required unless ``tip_radius`` [m] is given as an argument.
 
-        Other units are converted, as by :func:`read_record`. Every revolution needs at least one
-        row. :meth:`to_csv` writes such a file; the same arrivals are read back to the last bit.
+        Other units are converted, as by :func:`read_record`. Every revolution needs a row.
+        :meth:`to_csv` writes this kind of file; the same arrivals are read back to the last bit.
 
         Raises
         ------
@@ -460,9 +459,9 @@ def smooth_series(values: np.ndarray) -> np.ndarray:
 def check_revolution_durations(key: str, durations: np.ndarray, first_revolution: int = 0) -> None:
     """Raise InputError if a shaft mark was missed or counted twice.
 
-    The duration of each revolution is compared with the median of five: two before, this, and two
-    after. Above 1.4 times the median, a mark was missed. Below the median divided by 1.4, a mark
-    was counted twice.
+    Each revolution's duration is compared with the median duration of five: two before, this, and
+    two after. Above 1.4 times the median, a mark was missed. Below the median divided by 1.4, a
+    mark was counted twice.
 
     Parameters
     ----------
@@ -843,9 +842,9 @@ def _find_unit_factor(path: str | Path, heading: str, factor_by_unit: dict[str, 
     path : path
         The file, for the error.
     heading : str
-        Heading of a column, with the unit in brackets: "speed [rpm]".
+        Column heading, with the unit in brackets: "speed [rpm]".
     factor_by_unit : dict of str to float
-        Factors of all allowed units. A heading without brackets has the first of these units.
+        Factors by allowed unit. A heading without brackets has the first unit.
 
     Raises
     ------

@@ -139,10 +139,10 @@ def find_lines_and_residuals(
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
     """Find significant vibrations whose frequency is constant while the speed varies.
 
-    Such a vibration is a line in the spectrum. Constants are fitted together with each vibration:
+    The vibration is a line in the spectrum. Constants are fitted together with each vibration:
     every displacement is a constant plus the vibration. Constants also absorb vibrations at engine
-    orders, if each probe has a constant for each revolution in their period. The period is the
-    number of revolutions after which all probes see the same motion again.
+    orders, if each probe has a constant for each revolution in the period. After this period, in
+    revolutions, all probes see the same motion again.
 
     Parameters
     ----------
@@ -257,10 +257,10 @@ class _FrequencySearch:
     def _set_probe_constants_weight(self, displacement_scatter: float) -> None:
         """Set the weight that keeps the fitted constants near their mean.
 
-        A constant is part of all displacements at a probe, due to an error of the probe's angle.
-        The weight is (s / d)^2, with the scatter s of displacements, ``displacement_scatter`` [m].
-        The standard deviation d [m] of the constants is known. The weight stays 0 for a single
-        constant, and is 0 if d is inf.
+        An error in a probe's angle adds a constant to all displacements at this probe. The weight
+        is (s / d)^2, with the displacements' scatter s, ``displacement_scatter`` [m]. The
+        constants' standard deviation d [m] is known. The weight stays 0 for a single constant, and
+        is 0 if d is inf.
         """
         if self._probe_constant_columns.shape[1] > 1:
             self._probe_constants_weight = (
@@ -275,8 +275,7 @@ class _FrequencySearch:
         Parameters
         ----------
         values : (n,) or (n, m)
-            One value, or m values, for each of n arrivals. Each of the m columns has its own
-            constants.
+            One value, or m values, for each arrival. Each column has separate constants.
         weights : (n,)
             Weights of the arrivals.
 
@@ -446,10 +445,10 @@ class _FrequencySearch:
         """Return True if fitted constants can explain more than half of a vibration.
 
         Used to reject vibrations that these probes cannot distinguish from constants. The vibration
-        has the amplitude 1, and the phase that the constants explain best. The result is True if
-        less than half of its expected sum of squares, n / 2, remains. ``columns`` (n, 2K+1) come
-        from :meth:`_fit_harmonics`: cosines and sines of K harmonics at n arrivals, less the
-        constants, and the derivative by the frequency, which is not used.
+        has the amplitude 1, and the phase best explained by constants. The result is True if less
+        than half the expected sum of squares, n / 2, remains. ``columns`` (n, 2K+1) come from
+        :meth:`_fit_harmonics`: cosines and sines of K harmonics at n arrivals, less the constants,
+        and the derivative by the frequency (not used).
         """
         reduced_waves = columns[:, :-1]
         return bool(np.linalg.eigvalsh(reduced_waves.T @ reduced_waves)[0] < 0.25 * len(columns))
@@ -458,8 +457,8 @@ class _FrequencySearch:
         """Return the frequencies (n,) [rad/s] at the highest peaks of a spectrum.
 
         The spectrum is the power of the displacements without constants, summed over the harmonics.
-        Returned are at most 40 peaks, all with more than half the power of the highest peak. If
-        noise alone would give such a highest peak, only this peak is returned.
+        Returned are at most 40 peaks, all with more than half the highest power. If noise alone
+        would give as high a peak, only the highest peak is returned.
         """
         min_omega, max_omega = self._omega_bounds
         omega_step = RAD_PER_TURN / (4.0 * self._duration)  # a quarter of the resolution
@@ -494,7 +493,7 @@ class _FrequencySearch:
         return np.asarray(omega_step * (first_frequency_number + peak_indices[is_high]))
 
     def _fit_with_reweighting(self) -> None:
-        """Fit frequency, harmonics and constants, with weights that reduce wrong arrivals.
+        """Fit frequency, harmonics and constants, with small weights for wrong arrivals.
 
         Fits and new weights from the residuals follow in turn. The fit begins at the frequency in
         the attribute ``omega``. It sets the attributes ``omega``, ``coefficients``, ``columns`` and
@@ -571,8 +570,8 @@ class _FrequencySearch:
         """Return the last fit as a result.
 
         The last fit has changed the selected frequency slightly since ``candidates`` was made. The
-        order is this frequency divided by the mean speed. In the result it replaces the nearest
-        order in ``candidates``.
+        order is this frequency divided by the mean speed. In the result, this order replaces the
+        nearest order in ``candidates``.
         """
         mean_speed = self._arrivals.mean_speed
         order = self.omega / mean_speed

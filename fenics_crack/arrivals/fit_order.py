@@ -73,11 +73,11 @@ def fit_order(
     any weight, since errors follow Student's t distribution. Each candidate order is then fitted to
     the means.
 
-    Orders fit equally well if their sums of squared residuals exceed the least sum by less than 9
-    variances of a mean. The result is one of these orders. Orders with a vibration more than 20 %
-    larger than the smallest are excluded; then the least sum decides. The result has the other
-    equally good orders in ``ambiguous_orders``, and orders that these probes cannot measure in
-    ``hidden``.
+    An order fits equally well if the sum of squared residuals exceeds the least sum by less than 9
+    variances of a mean. The result is one of the equally good orders. Orders with a vibration more
+    than 20 % larger than the smallest are excluded; then the least sum decides. The result has the
+    other equally good orders in ``ambiguous_orders``, and orders that these probes cannot measure
+    in ``hidden``.
 
     The variance of a mean combines the arrivals' scatter and the probe angle's error. If the means
     differ from the fit by more (F test), the variance follows from these differences. Harmonics
@@ -284,8 +284,8 @@ class OrderFit:
         Sum of squared residuals, each in units of the standard deviation.
     residual_slope_by_displacement : (g,)
         Derivative of each residual by the measured displacement: 1 + u' / R. Here u is the fitted
-        displacement, u' = du / d alpha for the rotor angle alpha, and R the tip radius. The term u'
-        / R arises because the measured displacement also changes alpha.
+        displacement, alpha the rotor angle, u' = du / d alpha, and R the tip radius. The term u' /
+        R arises because the measured displacement also changes alpha.
     """
 
     order: float
@@ -381,11 +381,11 @@ class Sample:
     def _whiten_columns_and_values(
         self, columns: np.ndarray, values: np.ndarray, residual_slope_by_displacement: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Scale least-squares equations so that their errors are independent with variance 1.
+        """Scale least-squares equations to make errors independent with variance 1.
 
         There are g equations, one for each displacement, and m unknowns. Each equation is divided
-        by its entry of ``residual_slope_by_displacement``. All are then multiplied by the inverse
-        Cholesky factor of the attribute ``covariance``.
+        by an entry of ``residual_slope_by_displacement``. All equations are then multiplied by the
+        inverse Cholesky factor for the attribute ``covariance``.
 
         Parameters
         ----------
@@ -412,9 +412,9 @@ class Sample:
     def refit_with_higher_harmonics(self, fit: OrderFit) -> tuple[float, OrderFit]:
         """Repeat a fit with the three next higher harmonics as further unknowns.
 
-        Used to include errors by harmonics omitted in ``fit``. Their coefficients have the expected
-        value 0, and a standard deviation. Several standard deviations are tried, 0 among them, and
-        the likeliest is used. With 0, the fit is unchanged. The number three is
+        Used to include errors by harmonics omitted in ``fit``. The further coefficients have the
+        expected value 0, and a standard deviation. Several standard deviations are tried, 0 among
+        them, and the likeliest is used. With 0, the fit is unchanged. The number three is
         :data:`N_OMITTED_HARMONICS_TO_FOLD`.
 
         Returns
@@ -715,14 +715,14 @@ class ProbeMeans(Sample):
     def compute_changes_by_spectral_lines(self, arrivals: ArrivalTimes, fit: TipFit) -> np.ndarray:
         """Return how :attr:`lines` change the displacements by an engine order.
 
-        The lines are vibrations with constant frequencies. They displace the blade tip, so that the
-        tip passes a probe at another rotor angle. The vibration at the engine order is another
-        there. Used to correct the measured displacements before a second fit.
+        The lines are vibrations with constant frequencies. Lines displace the blade tip, and the
+        tip passes a probe at another rotor angle. The displacement at the engine order then
+        differs. Used to correct the measured displacements before a second fit.
 
         Parameters
         ----------
         arrivals : ArrivalTimes
-            The arrivals from which the means were made.
+            The averaged arrivals.
         fit : TipFit
             Vibration at the engine order.
 
@@ -749,7 +749,7 @@ class ProbeMeans(Sample):
     ) -> float:
         """Fit an engine order to a given motion, and return the sum of squared residuals.
 
-        Used to find orders that look like the best order at these probes: the sum is then small.
+        A small sum means: the order looks like the best order at these probes.
 
         Parameters
         ----------
@@ -763,7 +763,7 @@ class ProbeMeans(Sample):
         Returns
         -------
         float
-            Sum of squared residuals, each divided by its standard deviation.
+            Sum of squared residuals, each divided by the standard deviation.
         """
         wave_columns = fourier_basis(order * self.rotor_angles_without_vibration, multiples)
         wave_columns, whitened_wave = self._whiten_columns_and_values(

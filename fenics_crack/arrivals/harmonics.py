@@ -197,7 +197,7 @@ class TipFit(HarmonicFit):
 
     @property
     def hidden(self) -> tuple[float, ...]:
-        """Candidate orders that these probes cannot measure, even if the blade vibrates at them."""
+        """Candidate orders that these probes cannot measure, even if the blade vibrates so."""
         return tuple(self.candidates.orders[self.candidates.hidden].tolist())
 
     @property
@@ -351,8 +351,8 @@ def compute_amplitudes_and_errors(
 
     The amplitude A of harmonic k is the length of the vector (a_k, b_k). The vector's errors have
     two components. The component along the vector changes A directly. A component e across the
-    vector lengthens A by about e^2 / (2 A). With v, the mean of e^2, this adds 3/4 (v / A)^2 to the
-    variance of A.
+    vector lengthens A by about e^2 / (2 A). With the mean v of e^2, this adds 3/4 (v / A)^2 to the
+    variance.
 
     Two cases are treated apart, as the probes may measure only the cosine or the sine. If A is
     below sqrt(v), the added variance is 3/4 v. If A is 0, the direction of the cosine is "along".
@@ -447,7 +447,7 @@ def select_candidate(
     index : int
         Index of the selected candidate. Only equivalent candidates are considered, and only
         measurable ones if there are any. Sizes up to 20 % above the smallest count as equal. Among
-        these, the candidate with the least sum of squared residuals is selected.
+        these, the least sum is selected.
     """
     is_equivalent = residual_square_sums - residual_square_sums.min() < allowed_difference
     is_eligible = (

@@ -107,16 +107,16 @@ def find_passages(
     asynchronous: int = 1,
     stiffening: float | StiffeningFunction = 0.0,
 ) -> tuple[PassageFit, ...]:
-    """Find the resonances in a record, roughly in the order of their size.
+    """Find the resonances in a record, roughly the largest first.
 
     At speeds 0.3 % apart, a vibration with any phase at each probe is fitted. At the speed with the
     largest reduction of squared residuals, the mode is fitted as by :func:`fit_passage`. The mode's
     motion is subtracted before the next search. The search ends when no significant resonance
     remains. Vibrations with constant frequency are fitted, too.
 
-    Some probes may not measure the first resonance, and would add false resonances. They are left
-    out if they are a minority, and the other probes measure nearly the same amplitude. ``blind`` in
-    the results has their angles.
+    Some probes may not measure the first resonance, and would add false resonances. These probes
+    are left out if they are a minority, and the remaining probes measure nearly the same amplitude.
+    ``blind`` in the results has the angles.
 
     Parameters
     ----------
@@ -204,8 +204,8 @@ def _find_lines_and_motion(
     displacements : (revolutions, probes) [m]
         Displacements to search; nan without an arrival.
     orders : (n,)
-        Candidate engine orders. Frequencies are searched up to the mean speed times p + 1, where p
-        is the largest of these orders, but at least 24.
+        Candidate engine orders. Frequencies are searched up to the mean speed times p + 1, with the
+        largest order p, at least 24.
     max_lines : int
         Maximum number of vibrations.
 
@@ -276,9 +276,8 @@ class _ResonanceSearch:
     def add_resonances_up_to(self, max_resonances: int) -> None:
         """Search for further resonances, up to ``max_resonances`` in total.
 
-        The search ends earlier if no significant resonance remains. Then the orders of some
-        resonances are compared again. These are resonances with other neighbours in speed now than
-        when their orders were compared last.
+        The search ends earlier if no significant resonance remains. Orders are then compared again
+        for each resonance with new or lost neighbours in speed since the last comparison.
         """
         centre_speeds, gains_and_reductions = self._centre_speeds, self._gains_and_reductions
         while len(self.resonances) < max_resonances:
@@ -366,10 +365,10 @@ class _ResonanceSearch:
     def _compare_orders_with_neighbour(self, resonance: Resonance) -> bool:
         """Find the best pair of orders for a resonance and its largest neighbour.
 
-        Both are fitted jointly, since the motion of each disturbs the order of the other. A
-        neighbour is another resonance within 3.5 % in speed, but not within the width of this
-        resonance. A third resonance within the width of either is dropped: it may be the residual
-        of a wrong order.
+        Both are fitted jointly, since each motion disturbs the comparison of orders for the second.
+        A neighbour is another resonance within 3.5 % in speed, but not within the width of this
+        resonance. A third resonance within the width of either is dropped: it may be a residual
+        from a wrong order.
 
         Returns
         -------
