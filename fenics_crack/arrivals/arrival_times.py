@@ -183,7 +183,7 @@ class ArrivalTimes(Tabular):
     def expected(self) -> np.ndarray:
         """Arrival times of a blade without vibration: (revolutions, probes) [s].
 
-        Entries for missing arrivals are numbers, too.
+        Missing arrivals also have an expected time.
         """
         return interpolate_by_splines(
             self._rotor_angles_at_marks, self.marks, self.rotor_angle_without_vibration

@@ -77,9 +77,9 @@ class Candidates(Tabular):
 class HarmonicFit(Tabular):
     """Hold harmonics fitted to arrivals, and tests of the fit.
 
-    ``misfit`` is the probability of residuals as large or as correlated by chance. ``folded``
-    is the probability that harmonics outside the fit change a fitted amplitude by over three
-    standard errors. Both are nan if unknown.
+    ``misfit`` is the probability that chance alone makes residuals as large, or as correlated
+    between revolutions, as measured. ``folded`` is the probability that harmonics outside the fit
+    change a fitted amplitude by over three standard errors. Both are nan if unknown.
     """
 
     misfit: float
@@ -142,9 +142,10 @@ class TipFit(HarmonicFit):
         Standard deviation of displacements from the fit; nan without more arrivals than unknowns.
         Standard errors follow Student's t, and are nan for one or two more arrivals than unknowns.
     misfit : float
-        Probability of residuals as large by chance in the probes' mean displacements, given
-        the scatter at each probe. If it is tiny, harmonics are missing, probes are out of place, or
-        the order is wrong. nan with too few probes or revolutions, and for :func:`fit_frequency`.
+        Probability that chance alone makes the probes' mean displacements differ from the fit as
+        much as measured, given the scatter at each probe. If it is tiny, harmonics are missing,
+        probes are out of place, or the order is wrong. nan with too few probes or revolutions, and
+        for :func:`fit_frequency`.
     candidates : Candidates
         Candidate orders.
     spare : int
@@ -197,7 +198,7 @@ class TipFit(HarmonicFit):
 
     @property
     def hidden(self) -> tuple[float, ...]:
-        """Candidate orders that these probes cannot measure, even if the blade vibrates so."""
+        """Candidate orders that these probes cannot measure, even if the blade vibrates at them."""
         return tuple(self.candidates.orders[self.candidates.hidden].tolist())
 
     @property
@@ -447,7 +448,7 @@ def select_candidate(
     index : int
         Index of the selected candidate. Only equivalent candidates are considered, and only
         measurable ones if there are any. Sizes up to 20 % above the smallest count as equal. Among
-        these, the least sum is selected.
+        these, the candidate with the least sum is selected.
     """
     is_equivalent = residual_square_sums - residual_square_sums.min() < allowed_difference
     is_eligible = (

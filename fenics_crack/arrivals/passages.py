@@ -365,10 +365,10 @@ class _ResonanceSearch:
     def _compare_orders_with_neighbour(self, resonance: Resonance) -> bool:
         """Find the best pair of orders for a resonance and its largest neighbour.
 
-        Both are fitted jointly, since each motion disturbs the comparison of orders for the second.
-        A neighbour is another resonance within 3.5 % in speed, but not within the width of this
-        resonance. A third resonance within the width of either is dropped: it may be a residual
-        from a wrong order.
+        Both are fitted jointly, since each motion disturbs the comparison between orders at the
+        other resonance. A neighbour is another resonance within 3.5 % in speed, but not within the
+        width of this resonance. A third resonance within the width of either is dropped: it may be
+        a residual from a wrong order.
 
         Returns
         -------

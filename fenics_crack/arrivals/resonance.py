@@ -73,8 +73,8 @@ class PassageFit(Tabular):
     amplitude : float [m]
         Largest vibration amplitude in the passages.
     forces : (passages,) complex [m]
-        Load of each passage. The number is the complex vibration amplitude if the rotor stayed at
-        the resonance.
+        Load of each passage. The number is the complex vibration amplitude that the blade would
+        reach if the rotor stayed at the resonance.
     ends : (passages, 2) int
         First revolution of each passage, and the one after the last, counted from 0.
     omegas, omega_errors : (passages,) [rad/s]

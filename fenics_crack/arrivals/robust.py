@@ -47,7 +47,8 @@ class SignificanceLimits:
         A resonance is significant if it reduces -2 log likelihood by this or more. The limit is
         high, since about 1e5 resonances are tried, each with six unknowns.
     misfit_significance_level : float
-        The model is wrong if the probability of residuals as large by chance is below this.
+        The model is wrong if chance alone makes residuals as large as measured with a lower
+        probability than this.
     errors_from_misfit_significance_level : float
         Limit for the same probability. Below, standard errors follow from the difference between
         means and fit. Above, errors follow from the arrivals' scatter.
@@ -185,7 +186,7 @@ class StudentNoise:
 
     @property
     def equivalent_normal_variance(self) -> float:
-        """Variance of normal errors with the same standard errors in a fit.
+        """Variance of normal errors that would give the fit the same standard errors.
 
         Used in formulas for normal errors. The unit is the residuals' unit squared.
         """
@@ -463,7 +464,7 @@ def fit_noise_by_reweighting(
     n_unknowns: int,
     min_scale: float,
 ) -> StudentNoise:
-    """Fit weights of arrivals, in turns with the residuals of a fit.
+    """Repeat a fit with small weights for wrong arrivals, until the weights settle.
 
     A round fits with the weights, and finds new weights from the residuals. The rounds end if no
     weight changes by 0.01, and no residual by 0.01 times the scale; or after 30 rounds.

@@ -60,12 +60,12 @@ class TipTrack(HarmonicFit):
         Constant, and cosine and sine coefficients of the harmonics: a0, a1, b1, ....
     amplitudes, amplitude_errors : (n, K) [m]
         Amplitudes with standard errors. Both are nan in a group with too few arrivals. Errors are
-        also nan with as many unknowns as arrivals, or two or fewer degrees of freedom. The group's
-        degrees of freedom and the variance's, for an arrival, are added.
+        also nan with as many unknowns as arrivals, or two or fewer degrees of freedom. These are
+        counted for the group and for an arrival's variance together.
     misfit : float
-        Probability that chance alone makes the residuals of successive revolutions as correlated.
-        If tiny, harmonics outside the fit change the fitted ones. nan without more probes than
-        unknowns, since everything then fits.
+        Probability that chance alone correlates the residuals in successive revolutions as much as
+        measured. If tiny, harmonics outside the fit change the fitted ones. nan without more probes
+        than unknowns, since everything then fits.
     folded : float
         Probability that harmonics outside the fit change an amplitude by over three standard
         errors. For each harmonic, the group with the largest amplitude counts. nan if unknown.

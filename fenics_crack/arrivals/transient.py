@@ -460,7 +460,7 @@ class Mode:
 
 
 class Fit:
-    """Fit frequencies and damping ratios of modes, in turns with the arrivals' weights.
+    """Fit frequencies and damping ratios of modes, with small weights for wrong arrivals.
 
     The displacement is linear in the forces and the probes' drifts. Both are fitted anew for all
     trial frequencies and damping ratios (variable projection).

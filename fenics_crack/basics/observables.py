@@ -44,7 +44,7 @@ class Place(Enum):
 
 
 class ObservableTableFlag(Flag):
-    """Flags of an observable: tables that show it by default, and conditions for it.
+    """Flags of an observable: tables that show it, and conditions for computing it.
 
     A flag without value, ``IN_FILES_ONLY``, means no table and no condition.
     """
