@@ -151,7 +151,7 @@ class ArrivalTimes(Tabular):
 
     @property
     def steady(self) -> bool:
-        """True if the range of the speed is at most 1 % of the mean speed."""
+        """True if the highest and lowest speed differ by at most 1 % of the mean speed."""
         revolution_speeds = self.speed
         return bool(
             np.ptp(revolution_speeds)
@@ -160,9 +160,9 @@ class ArrivalTimes(Tabular):
 
     @cached_property
     def rotor_angle_without_vibration(self) -> np.ndarray:
-        """Rotor angle at arrivals without vibration: (revolutions, probes) [rad].
+        """Rotor angle when an undisturbed blade tip passes a probe: (revolutions, probes) [rad].
 
-        phi + 2 pi n, with the probe's angle phi and the number n of the revolution.
+        The angle is phi + 2 pi n, with the probe's angle phi and the revolution's number n.
         """
         return self._rotor_angles_at_marks[:-1, None] + self.probes
 
@@ -183,7 +183,7 @@ class ArrivalTimes(Tabular):
     def expected(self) -> np.ndarray:
         """Arrival times of a blade without vibration: (revolutions, probes) [s].
 
-        Entries for missing arrivals are numbers, too.
+        Missing arrivals also have an expected time.
         """
         return interpolate_by_splines(
             self._rotor_angles_at_marks, self.marks, self.rotor_angle_without_vibration
@@ -213,21 +213,21 @@ class ArrivalTimes(Tabular):
         )
 
     def check_places(self, angle_deviation: float) -> None:
-        """Check that each probe's arrivals belong to the probe's angle and to the stated row.
+        """Check that arrivals are at the right probe and in the right revolution.
 
-        The check compares the median arrival angle at each probe with the probe's angle. A
-        difference common to all probes is allowed.
+        Used before a fit, which would take a wrong place for a vibration. The check compares each
+        probe's angle with the median measured angle. A difference common to all probes is allowed.
 
         Parameters
         ----------
         angle_deviation : float [rad]
-            Probe angles' standard deviation. Not used in the comparison, but must be >= 0.
+            Probe angles' standard deviation. Must be >= 0; the comparison does not use this number.
 
         Raises
         ------
         InputError
-            Arrivals are nearer to another probe, or belong to another revolution than their row. A
-            fit would take the difference for a vibration.
+            A probe's arrivals are nearer to another probe, or belong to the revolution before or
+            after their row.
         """
         check_number("angle_deviation", angle_deviation, 0.0)
         with warnings.catch_warnings():
@@ -275,10 +275,11 @@ class ArrivalTimes(Tabular):
             raise InputError("probes", problem_text, requirement_text)
 
     def zeroed(self, begin: int, end: int) -> Self:
-        """Return arrivals whose median displacement is zero in revolutions without vibration.
+        """Return a copy with the probe angles corrected by revolutions without vibration.
 
-        They are the rows begin to end - 1, counted from 0. Each probe's angle is
-        reduced by the median displacement there, divided by the tip radius. The times stay.
+        In rows ``begin`` to ``end`` - 1, counted from 0, the blade must not vibrate. Each probe's
+        median displacement in these rows, divided by the tip radius, is subtracted from the probe's
+        angle. The median displacement then becomes zero. The arrival times stay.
         """
         median_displacements = np.nanmedian(
             self.between(begin, end).displacement[begin:end], axis=0
@@ -306,13 +307,18 @@ class ArrivalTimes(Tabular):
 
     @classmethod
     def from_csv(cls, path: str | Path, *, tip_radius: float | None = None) -> Self:
-        """Read arrivals from a CSV file with a row for each passage.
+        """Read arrivals from a CSV file with a row for each revolution and probe.
 
-        Columns have any order, and others are ignored: ``revolution`` (a whole number), ``angle
-        [rad]`` of the probe, ``mark [s]`` and ``next_mark [s]`` (begin and end of the revolution),
-        ``arrival [s]``; and ``tip_radius [m]`` unless given as an argument. Other units are
-        converted, as by :func:`read_record`. Passages may be missing, but revolutions may not.
-        :meth:`to_csv` writes such a file; the same arrivals are read back to the last bit.
+        The columns may have any order, and other columns are ignored:
+
+        - ``revolution``: whole number of the revolution,
+        - ``angle [rad]``: angle of the probe,
+        - ``mark [s]`` and ``next_mark [s]``: begin and end of the revolution,
+        - ``arrival [s]``: time of arrival; the cell is empty for a missed arrival,
+        - ``tip_radius [m]``: required unless ``tip_radius`` [m] is given as an argument.
+
+        Other units are converted, as by :func:`read_record`. Every revolution needs a row.
+        :meth:`to_csv` writes this kind of file; the same arrivals are read back to the last bit.
 
         Raises
         ------
@@ -372,9 +378,10 @@ class ArrivalTimes(Tabular):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns by name, with a row for every passage.
+        """Return lists by name, with an entry for each revolution and probe.
 
-        A missing arrival has a row with nan; probes are numbered from 1.
+        The names are the columns of :meth:`from_csv` without units, and "probe" (numbered from 1),
+        "displacement" [m] and "speed" [rad/s]. A missing arrival has the value nan.
         """
         n_revolutions, n_probes = self.time.shape
         revolution_indices = np.arange(n_revolutions)
@@ -452,8 +459,9 @@ def smooth_series(values: np.ndarray) -> np.ndarray:
 def check_revolution_durations(key: str, durations: np.ndarray, first_revolution: int = 0) -> None:
     """Raise InputError if a shaft mark was missed or counted twice.
 
-    A mark is missed if a revolution takes over 1.4 times the median of the five revolutions around
-    it. A mark is counted twice if it takes less than the median divided by 1.4.
+    Each revolution's duration is compared with the median duration of five: two before, this, and
+    two after. Above 1.4 times the median, a mark was missed. Below the median divided by 1.4, a
+    mark was counted twice.
 
     Parameters
     ----------
@@ -827,10 +835,21 @@ def write_record(
 
 
 def _find_unit_factor(path: str | Path, heading: str, factor_by_unit: dict[str, float]) -> float:
-    """Return the factor to SI for the unit in brackets in a heading.
+    """Return the factor from a heading's unit to SI.
 
-    ``factor_by_unit`` has the factors of all allowed units; a heading without brackets has the
-    first. InputError for an unknown unit; the error names the file's ``path``.
+    Parameters
+    ----------
+    path : path
+        The file, for the error.
+    heading : str
+        Column heading, with the unit in brackets: "speed [rpm]".
+    factor_by_unit : dict of str to float
+        Factors by allowed unit. A heading without brackets has the first unit.
+
+    Raises
+    ------
+    InputError
+        The unit is not allowed.
     """
     unit_match = re.search(r"\[(.*)\]", heading)
     unit_name = unit_match[1] if unit_match else next(iter(factor_by_unit))

@@ -139,21 +139,23 @@ def find_lines_and_residuals(
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
     """Find significant vibrations whose frequency is constant while the speed varies.
 
-    The vibration is a line in the spectrum. Constant displacements are fitted together with each
-    vibration. They absorb vibrations at engine orders if the constants are chosen as follows. After
-    n revolutions every probe sees the same motion at these orders; then each probe has n constants.
+    The vibration is a line in the spectrum. Constants are fitted together with each vibration:
+    every displacement is a constant plus the vibration. Constants also absorb vibrations at engine
+    orders, if each probe has a constant for each revolution in the period. After this period, in
+    revolutions, all probes see the same motion again.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
-        The speed may vary.
+        Times, probes and radius; the speed may vary.
     displacements : (revolutions, probes) [m]
         Displacements to search; nan without an arrival.
     constant_indices : (revolutions, probes) int
-        Index of the constant for each displacement; equal for displacements with a common constant.
+        Index of the constant in each displacement. Displacements with the same index share a
+        constant.
     max_order : float
-        Frequencies from half the mean speed are searched. The upper bound is ``max_order`` + 1 or
-        25, whichever is larger, times the mean speed.
+        Upper bound of the searched frequencies, divided by the mean speed, less 1. At least 24 is
+        used. The lower bound is half the mean speed.
     max_lines : int
         Maximum number of vibrations.
 
@@ -162,7 +164,7 @@ def find_lines_and_residuals(
     lines : tuple of TipFit
         Vibrations found; each is subtracted before the next search.
     residuals : (revolutions, probes) [m]
-        Displacements without these vibrations.
+        Displacements without these vibrations, but with the constants.
     """
     line_fits: list[TipFit] = []
     mean_speed = arrivals.mean_speed
@@ -253,11 +255,12 @@ class _FrequencySearch:
         )  # fmt: skip
 
     def _set_probe_constants_weight(self, displacement_scatter: float) -> None:
-        """Set the weight that keeps the constants near their mean.
+        """Set the weight that keeps the fitted constants near their mean.
 
-        The weight is (s / d)^2, with the scatter s of displacements, ``displacement_scatter`` [m],
-        and the constants' standard deviation d. It is 0 for a single constant or free
-        constants.
+        An error in a probe's angle adds a constant to all displacements at this probe. The weight
+        is (s / d)^2, with the displacements' scatter s, ``displacement_scatter`` [m]. The
+        constants' standard deviation d [m] is known. The weight stays 0 for a single constant, and
+        is 0 if d is inf.
         """
         if self._probe_constant_columns.shape[1] > 1:
             self._probe_constants_weight = (
@@ -265,14 +268,16 @@ class _FrequencySearch:
             ) ** 2
 
     def _subtract_constants(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Fit the constants to values by weighted least squares, and subtract them.
+        """Fit constants to values by weighted least squares, and subtract the constants.
+
+        Values with the same index in ``constant_indices`` of this class share a constant.
 
         Parameters
         ----------
         values : (n,) or (n, m)
-            One value, or m values, for each of n arrivals; each column has separate constants.
+            One value, or m values, for each arrival. Each column has separate constants.
         weights : (n,)
-            Arrival weights.
+            Weights of the arrivals.
 
         Returns
         -------
@@ -338,10 +343,21 @@ class _FrequencySearch:
         )
 
     def _refine_omega_and_fit(self, omega: float, weights: np.ndarray) -> tuple[float, Any]:
-        """Refine a frequency [rad/s] by least squares with weights (n,).
+        """Refine a frequency by least squares.
 
-        Returns the frequency within the search's range, and the result of :meth:`_fit_harmonics`
-        there.
+        Parameters
+        ----------
+        omega : float [rad/s]
+            Initial frequency.
+        weights : (n,)
+            Weights of the arrivals.
+
+        Returns
+        -------
+        omega : float [rad/s]
+            Refined frequency, within ``omega_bounds`` of this class.
+        fit : tuple
+            Coefficients, residuals and columns at this frequency, from :meth:`_fit_harmonics`.
         """
         omega_unit, sqrt_weights = np.pi / self._duration, np.sqrt(weights)[:, None]
         best_omega, fit = omega, None
@@ -377,7 +393,7 @@ class _FrequencySearch:
         fit : TipFit
             The best vibration.
         chance : float
-            Probability of a fitted vibration as significant in noise alone. 1 if the
+            Probability that noise alone gives a vibration as significant as this. 1 if the
             constants could explain the vibration, too (:meth:`_constants_absorb_vibration`).
         """
         weights = self._noise_without_vibration.weights
@@ -426,19 +442,23 @@ class _FrequencySearch:
         ) else chance
 
     def _constants_absorb_vibration(self, columns: np.ndarray) -> bool:
-        """Return True if constants can explain half of a vibration or more.
+        """Return True if fitted constants can explain more than half of a vibration.
 
-        True if constants, fitted to the vibration with the worst phase, leave less than half of the
-        expected sum of squares. ``columns`` (n, 2K+1) come from :meth:`_fit_harmonics`.
+        Used to reject vibrations that these probes cannot distinguish from constants. The vibration
+        has the amplitude 1, and the phase best explained by constants. The result is True if less
+        than half the expected sum of squares, n / 2, remains. ``columns`` (n, 2K+1) come from
+        :meth:`_fit_harmonics`: cosines and sines of K harmonics at n arrivals, less the constants,
+        and the derivative by the frequency (not used).
         """
         reduced_waves = columns[:, :-1]
         return bool(np.linalg.eigvalsh(reduced_waves.T @ reduced_waves)[0] < 0.25 * len(columns))
 
     def _find_peak_omegas(self) -> np.ndarray:
-        """Return the frequencies (n,) [rad/s] of the highest peaks in a periodogram.
+        """Return the frequencies (n,) [rad/s] at the highest peaks of a spectrum.
 
-        Returned are at most 40 peaks with more than half the power of the highest. If the highest
-        is no higher than in noise, it is returned alone.
+        The spectrum is the power of the displacements without constants, summed over the harmonics.
+        Returned are at most 40 peaks, all with more than half the highest power. If noise alone
+        would give as high a peak, only the highest peak is returned.
         """
         min_omega, max_omega = self._omega_bounds
         omega_step = RAD_PER_TURN / (4.0 * self._duration)  # a quarter of the resolution
@@ -473,10 +493,11 @@ class _FrequencySearch:
         return np.asarray(omega_step * (first_frequency_number + peak_indices[is_high]))
 
     def _fit_with_reweighting(self) -> None:
-        """Fit frequency, harmonics and constants, in turns with the arrivals' weights.
+        """Fit frequency, harmonics and constants, with small weights for wrong arrivals.
 
-        The fit begins at the attribute ``omega``. It sets the attributes ``omega``,
-        ``coefficients``, ``columns`` and ``noise``.
+        Fits and new weights from the residuals follow in turn. The fit begins at the frequency in
+        the attribute ``omega``. It sets the attributes ``omega``, ``coefficients``, ``columns`` and
+        ``noise``.
         """
 
         def solve(weights: np.ndarray) -> np.ndarray:
@@ -548,8 +569,9 @@ class _FrequencySearch:
     def _build_tip_fit(self, candidates: Candidates) -> TipFit:
         """Return the last fit as a result.
 
-        The last fit moved the selected frequency slightly. In the result's ``candidates``, the new
-        order replaces the nearest of the compared orders.
+        The last fit has changed the selected frequency slightly since ``candidates`` was made. The
+        order is this frequency divided by the mean speed. In the result, this order replaces the
+        nearest order in ``candidates``.
         """
         mean_speed = self._arrivals.mean_speed
         order = self.omega / mean_speed
@@ -593,8 +615,8 @@ def _compute_spectrum(
 ) -> np.ndarray:
     """Return the Fourier sums of values at unevenly spaced phases.
 
-    The sum for a whole number m is sum_n values_n exp(-i m phases_n). A Gaussian spreads each
-    value over 16 cells of a grid. The grid's spectrum is then divided by the Gaussian's transform.
+    The sum for a whole number m is sum_j values_j exp(-i m phases_j). A Gaussian spreads each value
+    over 16 cells of a grid. The grid's spectrum is then divided by the Gaussian's transform.
 
     Parameters
     ----------
@@ -606,7 +628,7 @@ def _compute_spectrum(
     Returns
     -------
     (n_frequencies,) complex
-        Sums for m, m + 1, ....
+        Sums for successive numbers m.
     """
     reach_in_cells = 8  # neighbours on each side, for eleven digits
     n_spectrum_frequencies = 2 * (n_frequencies // 2 + 1)

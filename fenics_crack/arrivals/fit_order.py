@@ -68,17 +68,20 @@ def fit_order(
 ) -> TipFit:
     """Find the engine order and harmonics of a vibration by least squares.
 
-    First, each probe's mean over the revolutions is fitted, together with vibrations at no engine
-    order (``asynchronous`` in the result). Errors follow Student's t, so that single wrong arrivals
-    have hardly any weight. Each candidate order is then fitted to the means. Orders fit equally
-    well if their sum of squared residuals is less than 9 variances above the minimum. Among them,
-    orders with a vibration more than 20 % larger than the smallest are excluded. The least sum
-    wins. The result has the other equally good orders in ``ambiguous``, and orders that these
-    probes cannot measure in ``hidden``.
+    First, the displacements are averaged at each probe over the revolutions. Vibrations at no
+    engine order are fitted, too (``asynchronous`` in the result). Single wrong arrivals have hardly
+    any weight, since errors follow Student's t distribution. Each candidate order is then fitted to
+    the means.
+
+    An order fits equally well if the sum of squared residuals exceeds the least sum by less than 9
+    variances of a mean. The result is one of the equally good orders. Orders with a vibration more
+    than 20 % larger than the smallest are excluded; then the least sum decides. The result has the
+    other equally good orders in ``ambiguous_orders``, and orders that these probes cannot measure
+    in ``hidden``.
 
     The variance of a mean combines the arrivals' scatter and the probe angle's error. If the means
     differ from the fit by more (F test), the variance follows from these differences. Harmonics
-    above K are not fitted, but may change the fitted ones. If the change is significant, the
+    above the fitted ones may change the fitted coefficients. If this change is significant, the
     standard errors include it. Otherwise ``folded`` is the probability of a large change.
 
     Parameters
@@ -276,13 +279,13 @@ class OrderFit:
     coefficients : (2K+1,) [m]
         Constant, and cosine and sine coefficients of the harmonics: a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
-        Coefficient covariance.
+        Covariance of the coefficients.
     sum_of_squares : float
         Sum of squared residuals, each in units of the standard deviation.
     residual_slope_by_displacement : (g,)
-        Residual by an error of 1 in the measured displacement: 1 + u' / R, with tip radius R and
-        u' = du / d alpha. The measured displacement also gives the rotor angle alpha, at which the
-        fitted displacement u is evaluated.
+        Derivative of each residual by the measured displacement: 1 + u' / R. Here u is the fitted
+        displacement, alpha the rotor angle, u' = du / d alpha, and R the tip radius. The term u' /
+        R arises because the measured displacement also changes alpha.
     """
 
     order: float
@@ -378,11 +381,25 @@ class Sample:
     def _whiten_columns_and_values(
         self, columns: np.ndarray, values: np.ndarray, residual_slope_by_displacement: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Scale equations so that errors are independent, with variance 1.
+        """Scale least-squares equations to make errors independent with variance 1.
 
-        Each equation is divided by its ``residual_slope_by_displacement`` (g,). The inverse of the
-        covariance's Cholesky factor then multiplies all equations. Given and returned: columns (g,
-        m), the derivatives by the unknowns, and values (g,), the right-hand side.
+        There are g equations, one for each displacement, and m unknowns. Each equation is divided
+        by an entry of ``residual_slope_by_displacement``. All equations are then multiplied by the
+        inverse Cholesky factor for the attribute ``covariance``.
+
+        Parameters
+        ----------
+        columns : (g, m)
+            Derivatives of the fitted displacements by the unknowns.
+        values : (g,) [m]
+            Right-hand sides of the equations.
+        residual_slope_by_displacement : (g,)
+            Derivative of each residual by the displacement.
+
+        Returns
+        -------
+        columns, values : (g, m), (g,)
+            The scaled equations.
         """
         columns_and_values = (
             np.column_stack([columns, values]) / residual_slope_by_displacement[:, None]
@@ -393,11 +410,12 @@ class Sample:
         return columns_and_values[:, :-1], columns_and_values[:, -1]
 
     def refit_with_higher_harmonics(self, fit: OrderFit) -> tuple[float, OrderFit]:
-        """Repeat a fit with the likeliest size of omitted harmonics.
+        """Repeat a fit with the three next higher harmonics as further unknowns.
 
-        Omitted are the next three harmonics (:data:`N_OMITTED_HARMONICS_TO_FOLD`) above the fitted
-        ones. Their coefficients are further unknowns, with the expected value 0 and a standard
-        deviation, their size. Of several trial sizes the likeliest is used; size 0 leaves the fit.
+        Used to include errors by harmonics omitted in ``fit``. The further coefficients have the
+        expected value 0, and a standard deviation. Several standard deviations are tried, 0 among
+        them, and the likeliest is used. With 0, the fit is unchanged. The number three is
+        :data:`N_OMITTED_HARMONICS_TO_FOLD`.
 
         Returns
         -------
@@ -697,9 +715,22 @@ class ProbeMeans(Sample):
     def compute_changes_by_spectral_lines(self, arrivals: ArrivalTimes, fit: TipFit) -> np.ndarray:
         """Return how :attr:`lines` change the displacements by an engine order.
 
-        The lines are vibrations with constant frequencies. They displace the blade tip, so a
-        probe sees it at another rotor angle. There the vibration at the engine order, ``fit``, has
-        another displacement. The change is (revolutions, probes) [m].
+        The lines are vibrations with constant frequencies. Lines displace the blade tip, and the
+        tip passes a probe at another rotor angle. The displacement at the engine order then
+        differs. Used to correct the measured displacements before a second fit.
+
+        Parameters
+        ----------
+        arrivals : ArrivalTimes
+            The averaged arrivals.
+        fit : TipFit
+            Vibration at the engine order.
+
+        Returns
+        -------
+        (revolutions, probes) [m]
+            Displacement by ``fit`` with the lines, less the displacement without; nan without an
+            arrival.
         """
         rotor_angles_at_means = np.full(arrivals.time.shape, np.nan)
         rotor_angles_at_means[np.isfinite(arrivals.time)] = self.angles[self._group_indices]
@@ -716,11 +747,23 @@ class ProbeMeans(Sample):
     def compute_wave_residual_square_sum(
         self, wave: np.ndarray, order: float, multiples: np.ndarray
     ) -> float:
-        """Return how much of a wave another engine order cannot explain.
+        """Fit an engine order to a given motion, and return the sum of squared residuals.
 
-        ``order`` with harmonics ``multiples`` (K,) is fitted to the wave: displacements (g,) [m] at
-        the nominal angles. The result is the sum of squared residuals, each over its standard
-        deviation.
+        A small sum means: the order looks like the best order at these probes.
+
+        Parameters
+        ----------
+        wave : (g,) [m]
+            Displacements by the best order, at the rotor angles without vibration.
+        order : float
+            Other engine order.
+        multiples : (K,)
+            Fitted harmonics, as multiples of the load's frequency.
+
+        Returns
+        -------
+        float
+            Sum of squared residuals, each divided by the standard deviation.
         """
         wave_columns = fourier_basis(order * self.rotor_angles_without_vibration, multiples)
         wave_columns, whitened_wave = self._whiten_columns_and_values(

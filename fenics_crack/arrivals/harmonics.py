@@ -37,11 +37,11 @@ class Candidates(Tabular):
     residuals : (n,) [m]
         Root mean square residual of the fit.
     conditions : (n,)
-        Condition number of the fit's columns, scaled to length 1, at these probes. A large number
-        amplifies errors of the probes.
+        Condition number of the fit's columns at these probes; each column is scaled to length 1. A
+        large number amplifies errors of the probes.
     equivalent : (n,) bool
-        True if the order fits as well as the best: residuals are as small within errors. Also
-        true if both orders give the same displacements at the probes.
+        True if the order fits as well as the best order, within errors. Also true if the order and
+        the best order can give the same displacements at the probes.
     hidden : (n,) bool
         True if these probes cannot measure the order, for one of three reasons. Constants could
         explain the vibration, harmonics look alike at the probes, or the fit is so inaccurate that
@@ -55,7 +55,10 @@ class Candidates(Tabular):
     hidden: np.ndarray
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns by name, with a row for every order."""
+        """Return lists by name, with an entry for every order.
+
+        The names are "order", "residual" [m], "condition", "equivalent" and "hidden".
+        """
         column_names = "order", "residual", "condition", "equivalent", "hidden"
         return {
             column_name: column_values.tolist()
@@ -74,9 +77,9 @@ class Candidates(Tabular):
 class HarmonicFit(Tabular):
     """Hold harmonics fitted to arrivals, and tests of the fit.
 
-    ``misfit`` is the probability of residuals as large or as correlated by chance. ``folded``
-    is the probability that harmonics outside the fit change a fitted amplitude by over three
-    standard errors. Both are nan if unknown.
+    ``misfit`` is the probability that chance alone makes residuals as large, or as correlated
+    between revolutions, as measured. ``folded`` is the probability that harmonics outside the fit
+    change a fitted amplitude by over three standard errors. Both are nan if unknown.
     """
 
     misfit: float
@@ -139,9 +142,10 @@ class TipFit(HarmonicFit):
         Standard deviation of displacements from the fit; nan without more arrivals than unknowns.
         Standard errors follow Student's t, and are nan for one or two more arrivals than unknowns.
     misfit : float
-        Probability of residuals as large by chance in the probes' mean displacements, given
-        the scatter at each probe. If it is tiny, harmonics are missing, probes are out of place, or
-        the order is wrong. nan with too few probes or revolutions, and for :func:`fit_frequency`.
+        Probability that chance alone makes the probes' mean displacements differ from the fit as
+        much as measured, given the scatter at each probe. If it is tiny, harmonics are missing,
+        probes are out of place, or the order is wrong. nan with too few probes or revolutions, and
+        for :func:`fit_frequency`.
     candidates : Candidates
         Candidate orders.
     spare : int
@@ -194,7 +198,7 @@ class TipFit(HarmonicFit):
 
     @property
     def hidden(self) -> tuple[float, ...]:
-        """Candidate orders that these probes cannot measure, present or not."""
+        """Candidate orders that these probes cannot measure, even if the blade vibrates at them."""
         return tuple(self.candidates.orders[self.candidates.hidden].tolist())
 
     @property
@@ -284,11 +288,11 @@ class TipFit(HarmonicFit):
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns by name: a row for the mean, then for every harmonic.
+        """Return lists by name: the mean displacement first, then every harmonic.
 
         A harmonic is A cos(m p alpha - phase), with the load's order p and the rotor angle alpha.
-        The row has the multiple m, the order m p, the frequency, the amplitude A with a standard
-        error, and the phase.
+        The lists are the multiple m, the order m p, the frequency in rad/s and Hz, the amplitude A
+        [m] with the standard error, and the phase [rad].
         """
         load_frequency_multiples = np.concatenate([[0.0], self.multiples])
         cosines, sines = self.coefficients[1::2], self.coefficients[2::2]
@@ -346,18 +350,20 @@ def compute_amplitudes_and_errors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the amplitudes of harmonics, and their standard errors.
 
-    The amplitude A of harmonic k is the length of the vector (a_k, b_k). Errors of this vector
-    along the vector change A directly. An error e across it lengthens A by about e^2 / (2 A);
-    with the mean square v of e, this adds 3/4 (v / A)^2 to the variance of A. If A is below
-    sqrt(v), sqrt(v) replaces A there: the probes may measure only the cosine or the sine. If A is
-    0, the vector has the direction of the cosine.
+    The amplitude A of harmonic k is the length of the vector (a_k, b_k). The vector's errors have
+    two components. The component along the vector changes A directly. A component e across the
+    vector lengthens A by about e^2 / (2 A). With the mean v of e^2, this adds 3/4 (v / A)^2 to the
+    variance.
+
+    Two cases are treated apart, as the probes may measure only the cosine or the sine. If A is
+    below sqrt(v), the added variance is 3/4 v. If A is 0, the direction of the cosine is "along".
 
     Parameters
     ----------
     coefficients : (..., 2K+1)
-        a0, a1, b1, ....
+        Constant, and coefficients of K harmonics: a0, a1, b1, ....
     covariance : (..., 2K+1, 2K+1)
-        Coefficient covariance.
+        Covariance of the coefficients.
 
     Returns
     -------
@@ -440,8 +446,9 @@ def select_candidate(
     is_equivalent : (n,) bool
         True for an equivalent candidate.
     index : int
-        Index of the selected candidate. Eligible are the equivalent candidates, if possible only
-        measurable ones. Of those with a size up to 20 % above the smallest, the least sum wins.
+        Index of the selected candidate. Only equivalent candidates are considered, and only
+        measurable ones if there are any. Sizes up to 20 % above the smallest count as equal. Among
+        these, the candidate with the least sum is selected.
     """
     is_equivalent = residual_square_sums - residual_square_sums.min() < allowed_difference
     is_eligible = (

@@ -107,15 +107,16 @@ def find_passages(
     asynchronous: int = 1,
     stiffening: float | StiffeningFunction = 0.0,
 ) -> tuple[PassageFit, ...]:
-    """Find the resonances in a record, about the largest first.
+    """Find the resonances in a record, roughly the largest first.
 
     At speeds 0.3 % apart, a vibration with any phase at each probe is fitted. At the speed with the
-    largest reduction of squared residuals, the mode is fitted as by :func:`fit_passage`. Its motion
-    is subtracted before the next search. The search ends when no significant resonance remains.
-    Vibrations with constant frequency are fitted beside the resonances.
+    largest reduction of squared residuals, the mode is fitted as by :func:`fit_passage`. The mode's
+    motion is subtracted before the next search. The search ends when no significant resonance
+    remains. Vibrations with constant frequency are fitted, too.
 
-    Probes that do not measure the first resonance would add further resonances. If most probes
-    agree, these are left out, and ``blind`` in the results has the angles.
+    Some probes may not measure the first resonance, and would add false resonances. These probes
+    are left out if they are a minority, and the remaining probes measure nearly the same amplitude.
+    ``blind`` in the results has the angles.
 
     Parameters
     ----------
@@ -198,11 +199,13 @@ def _find_lines_and_motion(
 
     Parameters
     ----------
-    arrivals, displacements : ArrivalTimes, (revolutions, probes) [m]
-        Arrival times, and the displacements to search; nan without an arrival.
+    arrivals : ArrivalTimes
+        Arrival times and probes.
+    displacements : (revolutions, probes) [m]
+        Displacements to search; nan without an arrival.
     orders : (n,)
-        Candidate orders of the load. The largest, or 24 if larger, plus 1 is the upper bound of a
-        vibration's frequency divided by the mean speed.
+        Candidate engine orders. Frequencies are searched up to the mean speed times p + 1, with the
+        largest order p, at least 24.
     max_lines : int
         Maximum number of vibrations.
 
@@ -226,7 +229,7 @@ class _ResonanceSearch:
 
     Parameters
     ----------
-    record : Record
+    record : ArrivalsWithStiffeningLaw
         Arrivals, and the stiffening of modes.
     displacements : (revolutions, probes) [m]
         Displacements in the record.
@@ -273,8 +276,8 @@ class _ResonanceSearch:
     def add_resonances_up_to(self, max_resonances: int) -> None:
         """Search for further resonances, up to ``max_resonances`` in total.
 
-        The search ends earlier if no significant resonance remains. After the search, the orders
-        are compared again for each resonance with other neighbours than at its last comparison.
+        The search ends earlier if no significant resonance remains. Orders are then compared again
+        for each resonance with new or lost neighbours in speed since the last comparison.
         """
         centre_speeds, gains_and_reductions = self._centre_speeds, self._gains_and_reductions
         while len(self.resonances) < max_resonances:
@@ -360,16 +363,18 @@ class _ResonanceSearch:
             self.resonances.remove(resonance)
 
     def _compare_orders_with_neighbour(self, resonance: Resonance) -> bool:
-        """Compare pairs of orders for a resonance and its largest neighbour.
+        """Find the best pair of orders for a resonance and its largest neighbour.
 
-        The neighbour is within 3.5 % in speed. Further resonances within the width of either are
-        dropped, since they may be residuals of wrong orders.
+        Both are fitted jointly, since each motion disturbs the comparison between orders at the
+        other resonance. A neighbour is another resonance within 3.5 % in speed, but not within the
+        width of this resonance. A third resonance within the width of either is dropped: it may be
+        a residual from a wrong order.
 
         Returns
         -------
         bool
-            False if nothing is compared: with a single candidate order, without a neighbour,
-            or if this resonance is within the width of a larger one.
+            False if nothing is compared: with a single candidate order, without a neighbour, or if
+            this resonance is within the width of a larger one.
         """
         resonance_amplitude = resonance.best_fit.largest_first_mode_amplitude
         larger_resonances = [
@@ -440,24 +445,29 @@ class _ResonanceSearch:
 def _compute_gain_and_squares_reduction(
     record: ArrivalsWithStiffeningLaw, displacements: np.ndarray, speed: float, n_rounds: int = 1
 ) -> tuple[float, float]:
-    """Measure how well a steady vibration near a speed [rad/s] explains displacements.
+    """Measure how well a steady vibration near a speed explains displacements.
 
     The vibration has any amplitude and phase at each probe, and the default damping ratio 0.004.
+    Used to search the speed range for resonances.
 
     Parameters
     ----------
-    record, displacements : Record, (revolutions, probes) [m]
-        Record, and the displacements to search.
+    record : ArrivalsWithStiffeningLaw
+        Arrivals, and the stiffening of modes.
+    displacements : (revolutions, probes) [m]
+        Displacements to search.
     speed : float [rad/s]
         Speed of the resonance.
     n_rounds : int
-        Rounds of least squares; from the second on, arrivals have the weights of Student's t.
+        Rounds of least squares. From the second round on, arrivals have the weights of Student's t
+        distribution.
 
     Returns
     -------
     gain : float
-        ``squares_reduction`` divided by the variance of the noise, less 2 for each probe beyond the
-        first. Differences between successive displacements at a probe give the variance.
+        Sum over the runs through the speed: the reduction of squares divided by the noise's
+        variance, less 2 for each probe beyond the first. The variance follows from differences
+        between successive displacements at a probe.
     squares_reduction : float [m^2]
         Reduction in the sum of squared residuals by the vibration.
     """

@@ -65,16 +65,16 @@ class PassageFit(Tabular):
         Periods of the load in a revolution, for the best candidate.
     omega, omega_error : float [rad/s]
         Natural frequency, and its standard error from the scatter of the arrivals alone. For the
-        error of the result take :attr:`deviation`, with two further causes;
-        ``frequency_error`` is the same in Hz.
+        error of the result take :attr:`deviation`, with two further causes. ``frequency_error`` is
+        :attr:`deviation` in Hz.
     damping, damping_error : float
         Ratio of critical damping, and its standard error. If the blade's stiffening s is not given
         to the fit, this ratio is 1 / (1 - s) times too large.
     amplitude : float [m]
         Largest vibration amplitude in the passages.
     forces : (passages,) complex [m]
-        Load of each passage, stated as a complex vibration amplitude F. The blade would reach
-        this amplitude if the rotor stayed at the resonance.
+        Load of each passage. The number is the complex vibration amplitude that the blade would
+        reach if the rotor stayed at the resonance.
     ends : (passages, 2) int
         First revolution of each passage, and the one after the last, counted from 0.
     omegas, omega_errors : (passages,) [rad/s]
@@ -84,23 +84,23 @@ class PassageFit(Tabular):
     orders : (n,)
         Candidate orders.
     margins : (n,)
-        Each candidate order's -2 log likelihood, less the best order's. With a
-        neighbouring resonance in the fitted speeds, each order is combined with the neighbour's
-        best order. Two resonances may be the same vibration if one lies within the other's
-        width. The second resonance's order then has the margin 0, too.
+        -2 log likelihood of each candidate order, less the value of the best order. Another
+        resonance near in speed is fitted jointly, with the best order for each candidate. Two
+        resonances may be the same vibration if one lies within the other's width. The order of the
+        other resonance then also has the margin 0.
     probes : int
         Number of probes with arrivals.
     scatter : float [m]
         Standard deviation of a displacement from the fit.
     whiteness : float
-        Probability that errors of arrivals and shaft marks alone make residuals of successive
-        revolutions as correlated; nan without a test. Standard errors include the correlation. They
-        do not include the bias by another vibration near this speed (:attr:`in_doubt`).
+        Probability that errors of arrivals and shaft marks alone correlate the residuals of
+        successive revolutions as much as measured; nan without a test. Standard errors include the
+        correlation. They do not include the bias by another vibration near this speed
+        (:attr:`in_doubt`).
     asynchronous : tuple of TipFit
         Vibrations with constant frequency in the record, which follow no order.
     blind : tuple of float [rad]
-        Angles of probes left out, since they do not measure the vibration seen by most
-        probes.
+        Angles of probes left out, since they do not measure the vibration seen by most probes.
     stiffening : float
         s = d ln w_n / d ln W, with natural frequency w_n and speed W.
     """
@@ -178,7 +178,7 @@ class PassageFit(Tabular):
 
     @property
     def disagreement_in_words(self) -> str:
-        """Text on how the passages :attr:`passages_disagree`; "" if they agree."""
+        """Text on the values in which passages differ; "" without :attr:`passages_disagree`."""
         difference_texts = []
         if _differ_significantly(self.omegas, self.omega_errors):
             difference_texts.append(
@@ -493,7 +493,7 @@ class Resonance:
         ----------
         neighbour : Resonance
             Resonance near in speed.
-        record, displacements : Record, (revolutions, probes) [m]
+        record, displacements : ArrivalsWithStiffeningLaw, (revolutions, probes) [m]
             Record, and displacements with the motion of both resonances, but no further one.
         orders : (n,)
             Candidate orders of both resonances.
@@ -567,21 +567,21 @@ class Resonance:
         resonances: Sequence[Resonance] = (),
         line_fits: tuple[TipFit, ...] = (),
     ) -> PassageFit:
-        """Return the result, with a fit for each run through the resonance.
+        """Return the resonance as a public result, with a fit for each run through it.
 
-        Resonances within 3.5 % in speed are fitted jointly, so that errors include their
-        uncertainty.
+        A run is a passage through the resonance. Resonances within 3.5 % in speed are fitted
+        jointly, so that errors include their uncertainty.
 
         Parameters
         ----------
-        record : Record
+        record : ArrivalsWithStiffeningLaw
             Arrivals, and the stiffening of modes.
         residuals : (revolutions, probes) [m]
             Displacements without the motion of ``resonances``.
         resonances : sequence of Resonance
             All resonances of the record.
         line_fits : tuple of TipFit
-            Vibrations with constant frequency, for the result.
+            Vibrations with constant frequency, stored in the result.
         """
         neighbours = [
             other_resonance
@@ -776,19 +776,21 @@ def _choose_order_index_pairs(squares_reductions: np.ndarray) -> set[tuple[int, 
 def _compute_margin_by_order(
     gain_by_order: Mapping[float, float], fits: Iterable[Fit], best_fit: Fit, mode_index: int = 0
 ) -> dict[float, float]:
-    """Return -2 log likelihood of each order less the best fit's.
+    """Return -2 log likelihood of each order, less the value of the best fit.
+
+    A refined fit gives the value. For orders without a refined fit, an estimate follows from the
+    reduction of squares, divided by the variance of the noise.
 
     Parameters
     ----------
     gain_by_order : dict of float to float
-        Reduction in the sum of squares [m^2] for each order. An estimate for orders
-        without a refined fit.
+        Reduction in the weighted sum of squared residuals [m^2] for each order.
     fits : iterable of Fit
-        Refined fits; of several fits for an order, the best counts.
+        Refined fits. If an order has several, the best one gives the value.
     best_fit : Fit
-        Best fit of all; the order of this fit has the value 0.
+        Best fit; the order in this fit has the value 0.
     mode_index : int
-        Index of the compared mode among the modes of each fit.
+        Index of the compared mode among the jointly fitted modes.
     """
     max_gain = max(gain_by_order.values())
     margin_by_order = {

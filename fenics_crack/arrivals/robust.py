@@ -47,13 +47,14 @@ class SignificanceLimits:
         A resonance is significant if it reduces -2 log likelihood by this or more. The limit is
         high, since about 1e5 resonances are tried, each with six unknowns.
     misfit_significance_level : float
-        The model is wrong if residuals as large have a lower probability than this.
+        The model is wrong if chance alone makes residuals as large as measured with a lower
+        probability than this.
     errors_from_misfit_significance_level : float
-        Standard errors follow from the misfit if its probability is below this. Otherwise the
-        errors follow from the scatter.
+        Limit for the same probability. Below, standard errors follow from the difference between
+        means and fit. Above, errors follow from the arrivals' scatter.
     n_standard_errors_of_equal_fits : float
-        Number of standard deviations within which candidates fit equally well, and a correlation
-        is insignificant.
+        Number of standard deviations within which candidates fit equally well, and a correlation is
+        insignificant.
     """
 
     vibration_significance_level: float = 1e-5
@@ -66,8 +67,8 @@ class SignificanceLimits:
     def allowed_cost_difference(self) -> float:
         """Maximum difference in -2 log likelihood between equally good candidates.
 
-        The value is ``n_standard_errors_of_equal_fits`` squared, 9; also for differences between
-        sums of squared residuals in units of the standard deviation.
+        The value is ``n_standard_errors_of_equal_fits`` squared, 9. Sums of squared residuals have
+        the same limit, if each residual is divided by the standard deviation.
         """
         return self.n_standard_errors_of_equal_fits**2
 
@@ -82,8 +83,10 @@ RevolutionsAndProbes = tuple[np.ndarray, np.ndarray]
 class StudentNoise:
     """Fit Student's t distribution to residuals by maximum likelihood.
 
-    In each round, the weighted squares give a step of the scale s. The step is multiplied by 1 + 3
-    / nu, since the information in Student's t is 2 nu / (nu + 3), with nu degrees of freedom.
+    The scale s is found by iteration for several degrees of freedom nu, and the best nu is kept by
+    Akaike's criterion. The usual step multiplies s^2 by the mean of w (r / s)^2, with residuals r
+    and weights w = (nu + 1) / (nu + (r / s)^2). In this class, the step in ln s is multiplied by 1
+    + 3 / nu, for faster convergence.
 
     Parameters
     ----------
@@ -94,12 +97,13 @@ class StudentNoise:
     min_scale : float
         Minimum of the scale s, from rounding.
     trial_scales : (k,)
-        Initial scales, one for each value in :data:`TRIAL_STUDENT_FREEDOMS`.
+        Initial scales, one for each value in :data:`TRIAL_STUDENT_FREEDOMS`. Default: from the
+        median size of the residuals.
 
     Attributes
     ----------
     weights : (n,)
-        Arrival weights in the next fit.
+        Weights w of the arrivals in the next fit.
     scale, freedom : float
         Scale s and degrees of freedom nu.
     cost : float
@@ -182,9 +186,9 @@ class StudentNoise:
 
     @property
     def equivalent_normal_variance(self) -> float:
-        """Variance of normal errors with the same standard errors of the coefficients.
+        """Variance of normal errors that would give the fit the same standard errors.
 
-        The unit is the squared unit of the residuals.
+        Used in formulas for normal errors. The unit is the residuals' unit squared.
         """
         n_spare = len(self.residuals) - self.n_unknowns
         return float(self.psi @ self.psi) / (n_spare * self.mean_psi_slope**2)
@@ -194,16 +198,18 @@ class StudentNoise:
         revolution_and_probe_indices: RevolutionsAndProbes,
         arrival_shift_per_mark_error: np.ndarray,
     ) -> float:
-        """Return the probability of correlations as large by arrival and mark errors alone.
+        """Return the probability that the residuals are as correlated by errors alone.
 
-        A small probability means a vibration or drift in the residuals. nan if no
-        revolution has a next one with arrivals, or all residuals are 0. The correlation is between
-        the weighted residuals psi at a probe in successive revolutions.
+        Errors are in arrivals and shaft marks. A small probability means a vibration or drift in
+        the residuals. The tested correlation is between the weighted residuals psi at a probe in
+        successive revolutions. The result is nan if no revolution has a next one with arrivals, or
+        all residuals are 0.
 
-        Errors e of the shaft's marks move the arrival at probe i in revolution n by sum_k S_ki
-        e_(n+k). Products of psi at two probes in a revolution give the variance of e. Multiplied by
-        sum_k S_ki S_(k+m)i, this variance is the covariance between arrivals at probe i, m
-        revolutions apart. Mark errors also increase the scatter of the products.
+        An error in a mark moves all arrivals around this mark: residuals become correlated, too.
+        With errors e, the arrival at probe i in revolution n moves by sum_k S_ki e_(n+k). Products
+        of psi at two probes in a revolution give the variance of e. Multiplied by sum_k S_ki
+        S_(k+m)i, this variance is the covariance between arrivals at probe i, m revolutions apart.
+        Mark errors also increase the scatter of the products.
 
         Parameters
         ----------
@@ -458,7 +464,7 @@ def fit_noise_by_reweighting(
     n_unknowns: int,
     min_scale: float,
 ) -> StudentNoise:
-    """Fit weights of arrivals, in turns with the residuals of a fit.
+    """Repeat a fit with small weights for wrong arrivals, until the weights settle.
 
     A round fits with the weights, and finds new weights from the residuals. The rounds end if no
     weight changes by 0.01, and no residual by 0.01 times the scale; or after 30 rounds.

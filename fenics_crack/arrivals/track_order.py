@@ -60,11 +60,12 @@ class TipTrack(HarmonicFit):
         Constant, and cosine and sine coefficients of the harmonics: a0, a1, b1, ....
     amplitudes, amplitude_errors : (n, K) [m]
         Amplitudes with standard errors. Both are nan in a group with too few arrivals. Errors are
-        also nan with as many unknowns as arrivals, or two or fewer degrees of freedom in all.
+        also nan with as many unknowns as arrivals, or two or fewer degrees of freedom. These are
+        counted for the group and for an arrival's variance together.
     misfit : float
-        Probability of residuals as correlated between revolutions by chance. If tiny,
-        harmonics outside the fit change the fitted ones. nan without more probes than unknowns,
-        since everything then fits.
+        Probability that chance alone correlates the residuals in successive revolutions as much as
+        measured. If tiny, harmonics outside the fit change the fitted ones. nan without more probes
+        than unknowns, since everything then fits.
     folded : float
         Probability that harmonics outside the fit change an amplitude by over three standard
         errors. For each harmonic, the group with the largest amplitude counts. nan if unknown.
@@ -135,16 +136,20 @@ def track_order(
 ) -> TipTrack:
     """Fit the harmonics of a known engine order in a run-up.
 
-    Each group of ``revolutions`` successive revolutions is fitted, as by :func:`fit_order` with one
-    order. If the response has twice the load's period and the order is odd, a group needs two or
-    more revolutions. Linear changes of the vibration within a group are subtracted. A
-    fit may not describe the middle of the group; the errors include this. Differences between
-    residuals of neighbouring groups give the variance of an arrival.
+    The record is divided into groups of ``revolutions`` successive revolutions. Each group is
+    fitted, as by :func:`fit_order` with one order. If the response has twice the load's period and
+    the order is odd, a group needs two or more revolutions.
 
-    Harmonics outside the fit change the fitted ones, and leave repeated residuals. As in
-    :func:`fit_order`, such harmonics are further unknowns. Here they have the same ratio to the
-    vibration in neighbouring groups. If they are significant, the standard errors include the
-    change. Otherwise ``folded`` is the probability of a large change.
+    During a group, the vibration changes with the speed. The linear part is subtracted before the
+    fit. If a group's arrivals are not centred in the group, the standard errors include the change
+    up to the middle. The variance of an arrival follows from differences between the residuals of
+    neighbouring groups.
+
+    Harmonics outside the fit change the fitted coefficients, and leave similar residuals in
+    successive revolutions. As in :func:`fit_order`, the next higher harmonics are further unknowns.
+    The ratio to the fitted vibration is assumed equal in neighbouring groups. If these harmonics
+    are significant, the standard errors include the change. Otherwise ``folded`` is the probability
+    of a large change.
 
     Parameters
     ----------
@@ -324,20 +329,22 @@ def _find_coefficients_and_covariances(
 
     Parameters
     ----------
-    sample_fit_by_group : dict
-        Samples and fits by group index.
-    n_arrivals, coefficient_changes : (n,), (n, 2K+1) [m]
-        Number of arrivals in each group, and the coefficients' change between the group's middle
-        and its arrivals' middle (:func:`_subtract_linear_changes`).
+    sample_fit_by_group : dict of int to (Sample, OrderFit)
+        Displacements and fit by group index.
+    n_arrivals : (n,)
+        Number of arrivals in each group.
+    coefficient_changes : (n, 2K+1) [m]
+        Coefficient error if a group's arrivals are not centred in the group, from
+        :func:`_subtract_linear_changes`. The square is added to the covariance.
     freedom : int
         Degrees of freedom of the variance of a measured displacement.
 
     Returns
     -------
     coefficients : (n, 2K+1) [m]
-        a0, a1, b1, ....
+        Constant, and coefficients of K harmonics: a0, a1, b1, ....
     covariances : (n, 2K+1, 2K+1) [m^2]
-        Covariances of the coefficients; also nan with as many unknowns as arrivals.
+        Covariances of the coefficients; also nan with no more arrivals than unknowns.
     """
     coefficients = np.full(coefficient_changes.shape, np.nan)
     n_unknowns = coefficient_changes.shape[1]
@@ -365,15 +372,19 @@ def _subtract_linear_changes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Subtract the linear change of the vibration within each group.
 
-    The change would look like further harmonics. There are n groups with m arrivals each.
+    The change would look like further harmonics. The rate follows from the coefficients of
+    neighbouring groups. There are n groups with m arrivals each.
 
     Parameters
     ----------
-    displacements, group_positions : (n, m)
-        Displacements [m], and each arrival's position in the group: -1/2 at the group's begin, 1/2
-        at its end.
-    column_pseudoinverses, wave_columns : (n, 2K+1, m), (n, m, 2K+1)
-        The fits' derivatives by the coefficients (``wave_columns``), and their pseudoinverses.
+    displacements : (n, m) [m]
+        Displacements; 0 without an arrival.
+    column_pseudoinverses : (n, 2K+1, m)
+        Pseudoinverses of ``wave_columns``.
+    wave_columns : (n, m, 2K+1)
+        Derivatives of the fitted displacements by the coefficients.
+    group_positions : (n, m)
+        Position of each arrival in the group: -1/2 at the group's begin, 1/2 at its end.
     fitted_groups : (k,)
         Indices of groups with enough arrivals.
 
@@ -382,7 +393,7 @@ def _subtract_linear_changes(
     displacements : (n, m) [m]
         Displacements without the change.
     coefficient_changes : (n, 2K+1) [m]
-        Change of the coefficients between the group's middle and the middle of its arrivals.
+        Change of the coefficients from the group's middle to the mean of ``group_positions``.
     """
     coefficient_rates = np.zeros(column_pseudoinverses.shape[:2])
     if len(fitted_groups) > 1:
@@ -403,10 +414,20 @@ def _refit_groups_with_higher_harmonics(
 ) -> dict[int, tuple[Sample, OrderFit]]:
     """Repeat the fits of all groups with omitted harmonics as further unknowns.
 
-    ``sample_fit_by_group`` and the result have displacements and fit by group index. The size of
-    omitted harmonics, relative to the vibration, is the likeliest in a group and 16 neighbours on
-    either side: few probes in one group do not determine the size. Neighbours with wrong arrivals,
-    and so with large residuals, do not count.
+    An omitted harmonic's size is the assumed standard deviation of the coefficients, divided by the
+    fitted vibration's size. A few probes in one group do not determine this size. The size used is
+    therefore the likeliest in a group and up to 16 neighbours on either side. Groups with wrong
+    arrivals, recognised by large residuals, do not count.
+
+    Parameters
+    ----------
+    sample_fit_by_group : dict of int to (Sample, OrderFit)
+        Displacements and fit by group index.
+
+    Returns
+    -------
+    dict of int to (Sample, OrderFit)
+        The same displacements with the new fits.
     """
     costs_and_fits_of_groups = [
         sample.list_refits_by_harmonic_size(
@@ -484,9 +505,10 @@ def _estimate_variance_and_freedom(
 
 
 def _estimate_quartile_variance(residual_square_sums: np.ndarray, freedoms: np.ndarray) -> float:
-    """Estimate a variance from the lower quartile of sums of squared residuals.
+    """Estimate an arrival's variance from the groups' sums of squared residuals.
 
-    ``residual_square_sums`` (n,) have degrees of freedom ``freedoms`` (n,). The quartile stays
-    right even if nearly three quarters of the sums contain wrong arrivals.
+    The lower quartile of the sums is used. The quartile stays right even if nearly three quarters
+    contain wrong arrivals. ``residual_square_sums`` (n,) have the degrees of freedom ``freedoms``
+    (n,).
     """
     return float(np.quantile(residual_square_sums / chdtri(freedoms, 0.75), 0.25))

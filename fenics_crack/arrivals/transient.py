@@ -65,7 +65,7 @@ class Run:
 
     Parameters
     ----------
-    record : Record
+    record : ArrivalsWithStiffeningLaw
         Arrivals, and the stiffening of modes.
     displacements : (revolutions, probes) [m]
         Displacements in the whole record, without the vibrations found before.
@@ -104,10 +104,10 @@ class Run:
         return int(self.has_arrival.any(axis=0).sum())
 
     def compute_waves(self, order: float, poles: np.ndarray) -> np.ndarray:
-        """Return waves a(t) exp(i p alpha) at the arrivals: (m, R, P) complex.
+        """Return waves a(t) exp(i p alpha) at the arrivals, for several modes.
 
-        a is the envelope of a mode's motion under the force amplitude F = 1, and alpha the rotor
-        angle.
+        The wave is the complex displacement [m] of the blade tip at time t, for the load amplitude
+        F = 1 m. Here a is the slowly varying envelope, and alpha the rotor angle.
 
         Parameters
         ----------
@@ -115,6 +115,11 @@ class Run:
             Engine order p.
         poles : (m,) complex [1/s]
             Poles lambda of m modes, at equal distances.
+
+        Returns
+        -------
+        (m, R, P) complex
+            Wave of each mode in R revolutions at P probes.
         """
         poles_as_column = poles[:, None]
         steady_responses = 1.0 / (1j * order * self._expected_speeds - poles_as_column)
@@ -133,18 +138,20 @@ class Run:
         return envelopes.reshape(-1, *self.arrival_rotor_angles.shape)
 
     def compute_wave(self, mode: Mode) -> np.ndarray:
-        """Return the wave a(t) exp(i p alpha) of a mode for F = 1: (R, P) complex.
+        """Return the wave a(t) exp(i p alpha) of a mode at the arrivals: (R, P) complex.
 
-        a is the envelope, p the order, alpha the rotor angle, F the force amplitude.
+        The wave is the complex displacement of the blade tip at time t, for the load amplitude F =
+        1. Here a is the slowly varying envelope, p the order, and alpha the rotor angle.
         """
         return np.asarray(self.compute_waves(mode.order, np.array([mode.pole]))[0])
 
     def compute_wave_and_slope(self, mode: Mode) -> np.ndarray:
         """Return a mode's wave a(t) exp(i p alpha), then its slope: (2, R, P) complex.
 
-        a is the envelope for the force amplitude F = 1, p the order, alpha the rotor angle. The
-        slope is the wave's derivative by ln lambda, with the pole lambda; the factor zeta w_n in
-        the equation of motion is held constant.
+        The wave is the complex displacement at time t, for the load amplitude F = 1. Here a is the
+        slowly varying envelope, p the order, and alpha the rotor angle. The slope is the wave's
+        derivative by ln lambda, with the mode's pole lambda. The wave is proportional to zeta w_n,
+        the damping ratio times the natural frequency; the derivative holds this factor constant.
         """
         order, mode_pole = mode.order, mode.pole
         steady_responses = 1.0 / (1j * order * self._expected_speeds - mode_pole)
@@ -178,23 +185,25 @@ class Run:
     def _yield_growth_factors_by_part(
         self, order: float, poles: np.ndarray
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Yield the growth exp(i p alpha - lambda t) at the expected arrivals, part by part.
+        """Yield exp(i p alpha - lambda t), the growth, at the expected arrivals.
 
-        A blade without vibration arrives at the expected times. The record is divided so that the
-        growth in a part stays below about e^300. With a stiffening s, alpha and t are multiplied by
-        1 - s. The value of s belongs to the mean frequency of ``poles``, and the speed at which
-        order p excites it.
+        A blade without vibration has the expected arrivals. Used to integrate the envelope of a
+        mode over time. To avoid overflow, the arrivals are divided into parts, in which the growth
+        stays below about e^300. With a stiffening s, alpha and t are multiplied by 1 - s. The value
+        of s is taken at the mean frequency w of ``poles``, and the speed w / p.
 
         Parameters
         ----------
-        order, poles : float, (m,) [1/s]
-            Order p, and values of the pole lambda at equal distances.
+        order : float
+            Engine order p.
+        poles : (m,) complex [1/s]
+            Values of the pole lambda, at equal distances.
 
         Yields
         ------
         part_slice : slice
-            Positions of a part among the R P arrivals. Except in the first part, the first position
-            is the last one of the previous part.
+            Positions of the part's n arrivals among all R P arrivals. Each part but the first
+            begins with the last arrival of the previous part.
         durations : (n,) [s]
             Times since the part's first arrival, multiplied by 1 - s.
         growths : (m, n) complex
@@ -451,7 +460,7 @@ class Mode:
 
 
 class Fit:
-    """Fit frequencies and damping ratios of modes, in turns with the arrivals' weights.
+    """Fit frequencies and damping ratios of modes, with small weights for wrong arrivals.
 
     The displacement is linear in the forces and the probes' drifts. Both are fitted anew for all
     trial frequencies and damping ratios (variable projection).
@@ -642,8 +651,10 @@ class Fit:
     def displacements_by_mode(self) -> list[np.ndarray]:
         """Displacements by each mode in the whole record: (revolutions, probes) [m] for each.
 
-        In a run, the consecutive revolutions near a resonance, the motion has the fitted force.
-        Outside the runs, the motion of the nearest run is continued halfway to the next run.
+        A run has the consecutive revolutions near the resonance, and the fitted force of this run.
+        Revolutions between two runs are computed, too: the first half with the force of the run
+        before, the second half with the force of the run after. Likewise, the first and last run
+        are extended to the ends of the record.
         """
         record = self._runs[0].record
         revolutions_halfway_between_runs = [
@@ -695,10 +706,11 @@ class Fit:
     def blind_probe_indices(self) -> np.ndarray:
         """Indices (n,) of probes that do not measure the blade's vibration.
 
-        A vibration of any phase is fitted at each probe, relative to the first mode's motion.
-        Probes with less than half the median in-phase amplitude are blind under two conditions.
-        Such probes are a minority, and differ from the median amplitude over five times more than
-        all other probes.
+        At each probe, the first mode's fitted motion is multiplied by a complex factor, to fit the
+        displacements. The ratio is the factor's size divided by the median of the real parts at all
+        probes. Probes with a ratio below 0.5 are blind under two conditions. First, a minority has
+        such ratios. Second, the ratios differ from 1 over five times more than all remaining
+        ratios.
         """
         n_probes = self._runs[0].rotor_angles_without_vibration.shape[1]
         matrices, right_hand_sides = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))

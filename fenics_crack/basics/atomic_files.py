@@ -82,7 +82,7 @@ def complete_files_together() -> Iterator[contextlib.ExitStack]:
     Yields
     ------
     contextlib.ExitStack
-        The unfinished files; ``close`` renames them before the end.
+        Object that holds the unfinished files. Call ``close`` to rename them before the end.
 
     Raises
     ------
@@ -264,7 +264,7 @@ def make_or_check_results_folder(
 def check_is_no_link_or_file(folder: Path, key: str = "path") -> None:
     """Raise InputError if an inner folder for results is a link or a file.
 
-    A missing folder is allowed; ``key`` names the option in the error.
+    A missing folder is allowed. ``key`` is the name of the option with the folder, for the error.
     """
     if _is_link_or_file(folder):
         raise InputError(

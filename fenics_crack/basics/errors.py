@@ -58,15 +58,18 @@ class Exit(IntEnum):
 class InputError(ValueError):
     """A value that cannot be used: one line with key, value and allowed values.
 
+    The line is "key = value: must be ...", or "key is missing: must be ...".
+
     Attributes
     ----------
     key : str
-        Name of the value, in the words of the scene file or of the argument list.
+        Name of the value: a key of the scene file, or an argument.
     value : object
         The value of this key; None if it is missing.
     allowed : str
-        Description of the allowed values, printed after "must be". A description "left out with
-        ..." is printed as "not allowed with ...", and "given: a number" as "give a number".
+        Description of the allowed values, printed after "must be". Two beginnings are printed
+        differently. "must be left out with ..." becomes "not allowed with ...", and "must be given:
+        a number" becomes "give a number".
     others : tuple of InputError
         Errors of further keys in the same scene.
     example : str or None

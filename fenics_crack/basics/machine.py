@@ -205,9 +205,11 @@ def is_started_by_mpirun() -> bool:
 def run_single_threaded() -> Iterator[None]:
     """Run a block in which OpenBLAS and OpenMP use a single thread.
 
-    The earlier settings return after the block. A number of threads chosen by the user stays: in a
-    variable of :data:`THREAD_COUNT_VARIABLES` (for OpenMP only the first variable counts), or by
-    threadpoolctl for OpenBLAS.
+    The earlier settings return after the block. A number of threads chosen by the user stays:
+
+    - OpenBLAS: a variable in :data:`THREAD_COUNT_VARIABLES` is set, or threadpoolctl has set a
+      number other than the default.
+    - OpenMP: the first variable of this list is set to a number above 1.
     """
     with _lock, ExitStack() as restored_settings:
         if not any(map(os.environ.get, THREAD_COUNT_VARIABLES)):
@@ -262,8 +264,8 @@ class _OpenBlas(NamedTuple):
 def _load_openblas_with_thread_counts(n_imported_modules: int) -> list[tuple[_OpenBlas, int]]:
     """Return each OpenBLAS library in this process, with the default number of threads.
 
-    The result is cached. ``n_imported_modules`` is not used otherwise: another number repeats the
-    search.
+    The result is cached, and found again when more modules have been imported: these may have
+    loaded a library. ``n_imported_modules`` is the number of modules, and serves for this alone.
     """
     openblas_libraries: list[_OpenBlas] = []
     all_affixes = [*product(("openblas_", "scipy_openblas_"), ("", "64_", "_64"))]
@@ -283,8 +285,8 @@ def _load_openblas_with_thread_counts(n_imported_modules: int) -> list[tuple[_Op
 def _load_openmp_libraries(n_imported_modules: int) -> list[ctypes.CDLL]:
     """Return the OpenMP libraries in this process: GCC's, LLVM's and Intel's.
 
-    The result is cached. ``n_imported_modules`` is not used otherwise: another number repeats the
-    search.
+    The result is cached, and found again when more modules have been imported: these may have
+    loaded a library. ``n_imported_modules`` is the number of modules, and serves for this alone.
     """
     openmp_libraries = map(ctypes.CDLL, list_loaded_libraries(r"lib(?:g|i)?omp"))
     return [
@@ -314,9 +316,10 @@ def machine_memory() -> float:
 
 
 def process_memory(entry_name: str) -> float:
-    """Return this process's memory [byte] by the entry's name in ``/proc/self/status``.
+    """Return a memory size of this process [byte].
 
-    "VmSize" is the address space.
+    ``entry_name`` is the entry in the Linux file ``/proc/self/status``: "VmSize" is the present
+    address space, "VmPeak" the largest so far.
     """
     status_text = Path("/proc/self/status").read_text()
     return 1024.0 * int(status_text.partition(f"{entry_name}:")[2].split()[0])
@@ -336,8 +339,8 @@ def remaining_address_space() -> float:
 def describe_resource_shortage(error: Exception) -> str:
     """Describe the lack of memory or disk space behind an error; "" for any other error.
 
-    Any error counts as a lack of memory if the peak is above 90 % of the process's address space
-    limit.
+    Many libraries do not report a lack of memory. Any error therefore counts as one if the process
+    has used over 90 % of its address space limit at any time.
     """
     is_reported = any(
         out_of_memory_error_text in str(error)

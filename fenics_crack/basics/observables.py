@@ -22,7 +22,7 @@ import numpy as np
 
 
 class Place(Enum):
-    """Place at which an observable is read; the text goes into the reference."""
+    """Place at which an observable is read; the value describes the place in the reference."""
 
     WATCHED_POINT = "each watched point and direction"
     CRACK_FACES = "all crack faces"
@@ -44,7 +44,10 @@ class Place(Enum):
 
 
 class ObservableTableFlag(Flag):
-    """Tables that show an observable by default, and conditions for computing it."""
+    """Flags of an observable: tables that show it, and conditions for computing it.
+
+    A flag without value, ``IN_FILES_ONLY``, means no table and no condition.
+    """
 
     IN_FILES_ONLY = 0
     IN_PRINTED_TABLE = auto()
@@ -86,8 +89,8 @@ class Observable:
     words, unit : str
         Label in tables and pictures, and SI unit.
     read_number_at_place : callable, optional
-        Function that takes an object with results at the place, and returns the number. The default
-        ``float`` serves if the object is the number itself.
+        Function that returns the number, given an object with the results at the place. Default:
+        the object itself is the number.
     flags : ObservableTableFlag
         Tables that show the number by default, and conditions for computing it, such as friction.
     """
@@ -231,9 +234,9 @@ def observable_names(
     places : Place
         Places; none given means all places.
     required_flags : ObservableTableFlag
-        Flags that an observable must have, all together.
+        Flags that an observable must have, all together. Default: no flag is required.
     excluded_flags : ObservableTableFlag
-        Flags that an observable must not have.
+        Flags that an observable must not have. Default: no flag is excluded.
     """
     return tuple(
         name
@@ -257,7 +260,7 @@ def read_observables(
         Object with the results at the place, from which :attr:`Observable.read_number_at_place`
         takes each number.
     excluded_flags : ObservableTableFlag
-        Observables with any of these flags are left out.
+        Observables with any of these flags are left out. Default: none is left out.
     """
     names_at_place = observable_names(place, excluded_flags=excluded_flags)
     return {

@@ -25,9 +25,10 @@ _progress_functions: list[Callable[[], str]] = []
 
 
 def begin_stage(stage: str) -> None:
-    """Report the stage, the name of the work that begins now.
+    """Report the name of the work that begins now, such as "natural modes".
 
-    An empty name ends the previous stage without a new one, before a progress bar begins.
+    Handlers of the log show the name until the next report. "" ends the previous stage without a
+    new one, for instance before a progress bar.
     """
     _STAGE_LOGGER.debug("%s", ": ".join([*_stage_prefixes, stage]) if stage else "")
 

@@ -143,9 +143,18 @@ def find_similar_or_longer_names(
 ) -> list[str]:
     """Return known names similar to a name, or else longer names.
 
-    In a longer name, a word begins with the name: "tol" finds "tolerance". For a name with less
-    than three letters, no longer names are returned. ``min_likeness`` is the minimum ratio in
-    difflib for similar names, 0 to 1.
+    Similar names come from :func:`find_similar_names`. If there is none, names are returned that
+    contain the given name at the beginning of a word: "tol" finds "tolerance". The shortest comes
+    first. A given name of one or two letters finds no longer names.
+
+    Parameters
+    ----------
+    name : str
+        Name to find, in which the user may have made an error.
+    known_names : collection of str
+        Names to choose from.
+    min_likeness : float
+        Minimum likeness of similar names: the ratio in difflib, 0 (different) to 1 (equal).
     """
     beginning_pattern = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
     longer_names = [
@@ -157,11 +166,12 @@ def find_similar_or_longer_names(
 
 
 def find_calls_by_synonyms(name: str) -> list[str]:
-    """Return calls of the package, such as "fc.solve(scene)", for a foreign name.
+    """Return calls of the package, such as "fc.solve(scene)", for a name unknown to it.
 
-    :data:`SEARCH_WORDS_BY_CALL` has search words for each call. Returned are the calls whose search
-    words match most words in the name; none if no word matches. If functions ``fc....`` match,
-    methods of a result are left out.
+    Used to suggest a function if the user writes the name from another program.
+    :data:`SEARCH_WORDS_BY_CALL` has search words for each call. The calls with the most matching
+    words in the name are returned; none if no word matches. If functions ``fc....`` match, methods
+    of a result are left out.
     """
     name_words = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
     n_matches_by_call = {
@@ -243,10 +253,10 @@ def check_options(
 
 
 def _class_names_of(value: object) -> set[str]:
-    """Return the names of a value's classes and base classes.
+    """Return the names of a value's class and base classes.
 
-    If the value is of one of these abstract kinds, its name is added: "Mapping", "Path", "None",
-    "Iterable", "int" and "float".
+    "Mapping", "Path", "None", "Iterable", "int" and "float" are added if the value can serve as
+    such. A NumPy integer, for example, also has the name "int".
     """
     # The name of NumPy's bool_ becomes that of Python's.
     class_names = {
@@ -334,7 +344,10 @@ def keep_old_attribute_names(**new_name_by_old_name: str) -> Callable[[type[Clas
 
 
 def _read_by_old_name(old_name: str, new_name: str, instance: object) -> Any:
-    """Return an attribute of an instance, and warn that the old name will go."""
+    """Return an attribute by its new name, and warn that the old name will be refused.
+
+    ``instance`` is the object that has the attribute.
+    """
     class_name = type(instance).__name__
     message = (
         f"{class_name}.{old_name} is {class_name}.{new_name} now; the old name will be refused"
@@ -465,9 +478,9 @@ def convert_to_unit_or_none(text: str, unit: str) -> float | None:
 
 
 def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
-    """Yield values probably meant, given a wrong value for a scene's key.
+    """Yield values that the user probably meant by a wrong value for a scene's key.
 
-    A text yields, in turn:
+    Used to suggest a correction. A text yields, in turn:
 
     - its number, a float in ``unit``; None if the text is no number,
     - the same number as int, if it is whole,

@@ -295,7 +295,7 @@ class Described:
         return ", ".join(f"{name} = {_value_text(value)}" for name, value in self.to_dict().items())
 
     def build_conclusion(self) -> Conclusion | None:
-        """Return the parts of the closing sentence; None if ``repr`` says everything."""
+        """Return the parts of the closing sentence; None if the text of ``repr`` is enough."""
         return None
 
     def __repr__(self) -> str:
@@ -398,7 +398,7 @@ def heading_with_unit(quantity_name: str, unit: str) -> str:
 def choose_frequency_factor_name_unit(in_hertz: bool) -> tuple[float, str, str]:
     """Return factor, name and unit to print a load frequency in Hz or rad/s.
 
-    The factor converts from rad/s to the unit.
+    The factor converts from rad/s to the unit. The unit is Hz if ``in_hertz`` is True.
     """
     return (0.5 / math.pi, "load frequency", "Hz") if in_hertz else (1.0, "load frequency", "rad/s")
 
@@ -406,7 +406,7 @@ def choose_frequency_factor_name_unit(in_hertz: bool) -> tuple[float, str, str]:
 def choose_speed_factor_name_unit(in_rpm: bool) -> tuple[float, str, str]:
     """Return factor, name and unit to print a rotor speed in rpm or rad/s.
 
-    The factor converts from rad/s to the unit.
+    The factor converts from rad/s to the unit. The unit is rpm if ``in_rpm`` is True.
     """
     return (
         (1.0 / RAD_PER_S_PER_RPM, "rotor speed", "rpm") if in_rpm else (1.0, "rotor speed", "rad/s")
@@ -434,10 +434,10 @@ def format_in_unit(factor_name_unit: tuple[float, str, str], *values: float) -> 
 
 
 def add_frequency_entries(values_by_name: dict[str, Any]) -> dict[str, Any]:
-    """Return a copy of the entries in which frequencies and speeds also have their other unit.
+    """Return a copy of a dict, with frequencies in Hz and speeds in rpm added.
 
-    After "omega" [rad/s] comes "frequency" [Hz], after "speed" [rad/s] comes "rpm" [1/min]. The
-    values are numbers or lists.
+    ``values_by_name`` has numbers or lists by name. After "omega" [rad/s] the entry "frequency"
+    [Hz] is added, and after "speed" [rad/s] the entry "rpm" [1/min].
     """
     added_name_and_factor_by_name = {
         "omega": ("frequency", RAD_PER_TURN),
@@ -455,7 +455,10 @@ def add_frequency_entries(values_by_name: dict[str, Any]) -> dict[str, Any]:
 
 
 def hertz_property(attribute_name: str = "omega") -> Any:
-    """Return a property with the frequency [Hz] of an attribute [rad/s]."""
+    """Return a property for a class: an attribute in rad/s, converted to Hz.
+
+    ``attribute_name`` is the attribute with the angular frequency [rad/s].
+    """
 
     def frequency(self: Any) -> Any:
         return getattr(self, attribute_name) / RAD_PER_TURN
@@ -481,9 +484,10 @@ def format_error(error: float) -> str:
 
 
 def describe_omitted_causes(cause_names: Iterable[str]) -> str:
-    """Name the causes left out of an error; "" without causes.
+    """Return a text on causes that an error estimate does not include.
 
-    An example is "error due to the mesh not included".
+    An example is "error due to the mesh not included", for the cause "mesh". The text is "" without
+    causes.
     """
     cause_text = " and the ".join(cause_names)
     return f"error due to the {cause_text} not included" if cause_text else ""

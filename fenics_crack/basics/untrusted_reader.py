@@ -80,10 +80,19 @@ def set_resource_limit(resource_number: int, soft_limit: int, margin: int = 0) -
 def read_requested_file(
     reader_file: str, array_file_descriptor: int, request_entries: dict
 ) -> None:
-    """Read a file, and write the arrays as .npz to a file descriptor.
+    """Limit this process's memory and time, read a file, and write the arrays.
 
-    If the file cannot be read, the only array is "error" with the reason. ``request_entries`` come
-    from :func:`fenics_crack.basics.untrusted_files.run_reader_for_arrays`.
+    If the file cannot be read, the only array is "error" with the reason.
+
+    Parameters
+    ----------
+    reader_file : str
+        Python file with the function ``read``, which returns arrays by name.
+    array_file_descriptor : int
+        Descriptor of an open file, into which the arrays are written as .npz.
+    request_entries : dict
+        File to read, limits of memory and time, and further arguments of ``read``. The entries are
+        made by :func:`fenics_crack.basics.untrusted_files.run_reader_for_arrays`.
     """
     os.chdir(request_entries["folder"])
     signal.alarm(request_entries["wait"])
