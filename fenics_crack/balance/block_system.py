@@ -285,6 +285,7 @@ class BlockSystem(Snes):
     def gap_without_static_part(self, unknown: np.ndarray) -> np.ndarray:
         """Return the slow gap from this rank's unknowns: (2H+1, n_pairs) [m] (collective).
 
+        ``unknown`` is the flat array of this rank's scaled unknowns (:meth:`scaled_unknowns_of`).
         The slow gap is the gap plus residual flexibility times contact force.
         """
         scaled_gap = self.structure.sum_over_ranks(
@@ -338,12 +339,14 @@ class BlockSystem(Snes):
     def take_full_steps(
         self, displacement: np.ndarray, stiffness_factor: float, tolerance: float
     ) -> tuple[np.ndarray, bool, int]:
-        """Take full Newton steps from a displacement (collective).
+        """Take full Newton steps, which are not shortened, from a displacement (collective).
+
+        The steps solve F(x) = 0, with scaled unknowns x and scaled residual F.
 
         Parameters
         ----------
         displacement : (2H+1, n_local) [m]
-            Displacement at which the steps begin.
+            Displacement coefficients at which the steps begin.
         stiffness_factor : float
             Factor of the contact stiffness, above 0, at most 1.
         tolerance : float
