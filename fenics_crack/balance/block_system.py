@@ -485,10 +485,20 @@ def _solve_with_growing_stiffness(
 ) -> tuple[np.ndarray, float]:
     """Solve at growing contact stiffness, up to the law's.
 
-    Newton's method starts at ``displacement`` (2H+1, n_local) [m], with the law's stiffness times
-    ``first_stiffness_factor``. Later starts are extrapolated from the last two solutions, linearly
-    in the logarithm of the factor. If a later start fails, the ratio of successive factors is
-    reduced, down to 1.1.
+    Newton's method starts with the law's stiffness times ``first_stiffness_factor``. Later starts
+    are extrapolated from the last two solutions, linearly in the logarithm of the factor. If a
+    later start fails, the ratio of successive factors is reduced, down to 1.1.
+
+    Parameters
+    ----------
+    block : BlockSystem
+        Equations for all displacements.
+    search : Search
+        Record of all attempts, with tolerance and iterations.
+    displacement : (2H+1, n_local) [m]
+        First guess for the displacement coefficients.
+    first_stiffness_factor : float
+        Factor of the law's stiffness for the first solution.
 
     Returns
     -------

@@ -422,7 +422,7 @@ class ModalCompliance:
         selection_rows : (m, n_local)
             Factor for each dof. Each row gives a column of the result.
         contact_force : (2H+1, n_pairs) [N]
-            Coefficients of the contact forces.
+            Contact force coefficients.
         """
         displacement_of_modes = from_complex(
             -self._negative_modal_displacement(contact_force)
@@ -526,18 +526,18 @@ class ModalCompliance:
 
             Z_k = omega_j^2 - (k w)^2 + i k w d c.
 
-        The inverse H_k has the derivatives
+        The receptance Y_k = 1 / Z_k has the derivatives
 
-            dH_k/dw = -H_k (-2 k^2 w + i k d c) H_k,        dH_k/dd = -H_k (i k w c) H_k.
+            dY_k/dw = -Y_k (-2 k^2 w + i k d c) Y_k,        dY_k/dd = -Y_k (i k w c) Y_k.
 
-        If damping couples modes, Z_k, H_k and c are matrices.
+        If damping couples modes, Z_k, Y_k and c are matrices.
 
         Parameters
         ----------
         parameter_name : "omega", "load", "damping" or "clearance"
             Response's frequency, factor of the load, factor of the damping, or added clearance.
         contact_force : (2H+1, n_pairs) [N]
-            Coefficients of the contact forces.
+            Contact force coefficients.
         """
         harmonic_orders = self._harmonic_orders[:, None]
         if parameter_name == "clearance":
@@ -568,7 +568,7 @@ class ModalCompliance:
         selection_rows : (m, n_local)
             Factor for each dof. Each row gives a column of the result.
         contact_force : (2H+1, n_pairs) [N]
-            Coefficients of the contact forces.
+            Contact force coefficients.
         """
         return from_complex(
             -self._negative_modal_displacement_omega_derivative(contact_force)

@@ -69,8 +69,8 @@ class ContactForces(ABC):
     def force_change(self, gap_change: np.ndarray) -> np.ndarray:
         """Return the linearised force change for a change of the slow gaps.
 
-        Both are Fourier coefficients (2H+1, n_pairs) [N], [m]. The slow gap is the gap plus
-        residual flexibility times contact force.
+        ``gap_change`` [m] and the result [N] are Fourier coefficients, (2H+1, n_pairs) each. The
+        slow gap is the gap plus residual flexibility times contact force.
         """
 
     @abstractmethod
@@ -180,10 +180,10 @@ class ContactIntegrals(ABC):
         """
 
     def force(self, gap_coefficients: np.ndarray) -> np.ndarray:
-        """Return the force coefficients for slow gap coefficients.
+        """Return the contact forces' coefficients for given slow gaps.
 
-        Both are (2H+1, n_pairs) [N], [m]. Slow gap: gap plus residual flexibility times contact
-        force.
+        The slow gaps' coefficients ``gap_coefficients`` [m] and the result [N] are (2H+1, n_pairs)
+        each. The slow gap is the gap plus residual flexibility times contact force.
         """
         return self.linearise(gap_coefficients).force
 

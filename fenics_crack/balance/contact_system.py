@@ -104,8 +104,8 @@ def default_projection_weight(compliance_model: ComplianceModel) -> float:
     """Return the default stiffness of a rigid contact between crack faces with mass [N/m].
 
     This stiffness is the weight eps in the law lambda = eps max(0, g + lambda / eps) (dynamic
-    Lagrangian), with the contact force lambda and the gap g. It is the inverse of the largest row
-    sum of the static compliance matrix. Raises InputError if the pairs cannot move.
+    Lagrangian), with the contact force lambda and the gap g. It is 1 over the largest row sum
+    of the static compliance matrix. Raises InputError if the pairs cannot move.
     """
     max_row_sum = float(np.abs(compliance_model.matrices[0]).sum(axis=1).max())
     if not max_row_sum > 0.0:
@@ -353,9 +353,9 @@ class ContactSystem:
         return 1.0 / max(min_series_compliance, 1e-300)
 
     def system_along_friction_factor(self) -> SystemAlongFrictionFactor:
-        """Return these equations along a factor for the friction coefficient.
+        """Return these equations with a factor for the friction coefficient as path parameter.
 
-        The path parameter is the factor: 0 without friction, 1 for the law.
+        The factor is 0 without friction, and 1 for the law.
         """
         return SystemAlongFrictionFactor(self.compliance_model, self.integrals)
 
@@ -384,9 +384,9 @@ class ContactSystem:
 
 
 class SystemAlongFrictionFactor(ContactSystem):
-    """Harmonic-balance equations along a factor for the friction coefficient.
+    """Harmonic-balance equations along a path of growing friction.
 
-    The path parameter is the factor: 0 without friction, 1 for the law.
+    The path parameter is a factor for the friction coefficient: 0 without friction, 1 for the law.
     """
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
@@ -917,8 +917,9 @@ class CompiledEquations(Equations):
         return CompiledPoint(self, require_shape(unknown, *self.shape), parameter)
 
     def function_table_at(self, point: CompiledPoint) -> Any:
-        """Return a pointer to the kernel's C functions, with the equations evaluated at ``point``.
+        """Return a pointer to the kernel's C functions for the equations at a point.
 
+        The equations are evaluated at ``point`` first, unless the kernel still holds this point.
         Raises ConvergenceError if no contact forces were found at an instant.
         """
         if (
@@ -944,7 +945,8 @@ class CompiledEquations(Equations):
     def max_dynamic_row_sum(self, parameter: float) -> float:
         """Return the largest row sum of dynamic compliance less residual flexibility [m/N].
 
-        Absolute values are summed. ``parameter`` is the path parameter, 0 to 1.
+        Absolute values are summed in each row. The largest sum over all harmonics is returned.
+        ``parameter`` is the path parameter, 0 to 1.
         """
         self._last_linearisation_reference = None
         max_row_sum = float(kernel.largest_dynamic_row_sum(self._point_handle, parameter))

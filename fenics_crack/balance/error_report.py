@@ -515,8 +515,8 @@ def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
     """Return the mean square of n quantities over a period, as a divisor of relative errors.
 
     A large mean would make relative errors small, so the mean is limited. Let v be the vibration's
-    mean square, and m the squared mean over time, both summed over the quantities. The result is v
-    + min(m, v), or v + m if v is rounding error. The result is at least 1e-300.
+    mean square, and m the squared mean over time, both summed over the quantities. If v is rounding
+    error, the result is v + m; otherwise it is v + min(m, v). The result is at least 1e-300.
 
     ``coefficients`` (2H+1, n) have the mean, then cosine and sine of each harmonic.
     """

@@ -215,7 +215,11 @@ def linear_response(
 def _complex_linear_displacement(
     structure: Structure, omega: float, complex_load: np.ndarray
 ) -> np.ndarray:
-    """Return the complex displacement under a harmonic load, both (n_local,) [m], [N]."""
+    """Return the complex displacement amplitude without contact: (n_local,) [m].
+
+    ``complex_load`` (n_local,) [N] is the complex amplitude of a harmonic load with the frequency
+    ``omega`` [rad/s].
+    """
     if not structure.has_massless_crack_faces:
         with FactorisedDynamicStiffness(structure, omega) as dynamic_stiffness:
             return dynamic_stiffness.solve(
@@ -301,9 +305,11 @@ def solve_harmonic_balance(
     ConvergenceError
         No attempt converged, with the residual history; or ``tolerance`` is missed.
 
-    Notes ----- PETSc options with the prefix ``crack_hb_`` reach SNES, for example
-    ``-crack_hb_snes_monitor``. In the block form they also reach KSP and PC: ``-crack_hb_ksp_type
-    gmres -crack_hb_pc_type bjacobi``.
+    Notes
+    -----
+    PETSc options with the prefix ``crack_hb_`` reach SNES, for example ``-crack_hb_snes_monitor``.
+    In the block form they also reach KSP and PC: ``-crack_hb_ksp_type gmres -crack_hb_pc_type
+    bjacobi``.
 
     Source: the paper, eqs 2 to 15, with the corrections listed in ``docs/the_paper.md``.
 
@@ -600,8 +606,9 @@ def _solve_with_present_modes(
 ) -> PeriodicSolution:
     """Return a solution to a tolerance with the structure's present modes.
 
-    The solution is an exact orbit if there is an exact flow and an orbit is found. Otherwise
-    harmonics are added.
+    If there is an exact flow and an orbit is found, the solution is this orbit's Fourier series.
+    Otherwise harmonics are added to the harmonic-balance solution. ``tolerance`` limits the total
+    error, and ``initial`` is the start of the search; None: the linear solution.
     """
     problem = solver.problem
     flow = exact_flow_or_none(problem.structure, problem.contact)

@@ -218,10 +218,10 @@ class Problem:
         return least_harmonics(self.structure, self.subharmonic)
 
     def response_harmonics(self, load_harmonics: int) -> int:
-        """Return the number of response harmonics for a number of load harmonics.
+        """Return the number of response harmonics up to a load harmonic.
 
-        The result is ``subharmonic`` times ``load_harmonics``, and at least the load's highest
-        harmonic.
+        The load has ``subharmonic`` times the response's frequency. So the result is
+        ``subharmonic`` times ``load_harmonics``, but at least the load's highest harmonic.
         """
         return max(load_harmonics * self.subharmonic, self.least_harmonics)
 
@@ -284,10 +284,12 @@ class Problem:
         The flexibility R is the quasi-static response of gaps to contact forces. Only small
         structures have R, and only in these cases:
 
-        - The law has friction. - The crack faces have no mass. - The faces have mass, the law is
-        rigid without ``weight``, and R is regular. - The faces have mass under a penalty law,
-        ``static_above`` is given, and R is not zero. - The faces have mass under a penalty law of
-        stiffness k, and k R > 100 for a diagonal entry of R.
+        - The law has friction.
+        - The crack faces have no mass.
+        - The faces have mass, the law is rigid without ``weight``, and R is regular.
+        - The faces have mass under a penalty law, ``static_above`` is given, and R is not zero.
+        - The faces have mass under a penalty law of stiffness k, and k R > 100 for a diagonal entry
+          of R.
 
         InputError: R is singular under a rigid law of crack faces without mass.
         """
@@ -403,12 +405,11 @@ class Problem:
         Parameters
         ----------
         displacement : (2H+1, n_local) [m]
-            Coefficients of the displacement of this rank's dofs.
+            Displacement coefficients for this rank's dofs.
         gap, force : (2H+1, n_columns) [m], [N]
-            Coefficients of gaps and contact forces, a column for each pair. With friction,
-            tangential columns follow the normal ones. Under the layered law, with two springs for
-            each pair, a column for each spring is also possible: first springs, then second
-            springs.
+            Gap and contact force coefficients, a column for each pair. With friction, tangential
+            columns follow the normal ones. Under the layered law, with two springs for each pair,
+            a column for each spring is also possible: first springs, then second springs.
         """
         n_pairs = self.structure.n_pairs
         gap, force = merge_layers_of_pairs(self.contact, n_pairs, gap, force)
@@ -653,6 +654,8 @@ class Search:
     ) -> Linearisation | None:
         """Take full Newton steps in the C kernel; return the solution or None.
 
+        The equations are F(x) = 0, with slow gap coefficients x.
+
         Parameters
         ----------
         system : ContactSystem
@@ -660,7 +663,8 @@ class Search:
         guess : (2H+1, n_rows) [m]
             Slow gap coefficients at which the steps begin.
         tolerance : float
-            Maximum |F| / |x|, if larger than the tolerance of the search.
+            Maximum relative residual |F| / |x|. A smaller value than the search's tolerance is
+            replaced by the latter.
         parameter : float
             Path parameter of the system: 1 is the law itself, 0 very soft contact.
         """
