@@ -467,8 +467,9 @@ class ModalCompliance:
         R_k is the dynamic compliance, R_inf the residual flexibility. With the matrix diag(h_k) of
         all receptances,
 
-            R_k - R_inf = P^T diag(h_k) P + static_compliance.
+            R_k - R_inf = P^T diag(h_k) P + static_compliance,
 
+        with the static compliance of the coordinates without mass, less R_inf.
         The modal load l_k adds P^T diag(h_k) l_k to the gap without contact.
 
         Parameters
@@ -729,9 +730,9 @@ ComplianceModel = ModalCompliance | FactoredCompliance
 def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) -> ComplianceModel:
     """Return a compliance model with another number of harmonics, ``harmonics``.
 
-    Used for error estimates with more harmonics than ``compliance_model`` has. A
-    :class:`FactoredCompliance` has no factored matrices for the added harmonics. Its lowest modes
-    (at least 20) then respond dynamically, and higher modes statically. The new model's method
+    Used for coarser solutions and, with added harmonics, for error estimates. A
+    :class:`FactoredCompliance` has no factored matrices for added harmonics. The lowest modes (at
+    least 20) then respond dynamically, and higher modes statically. The new model's method
     ``displacement`` still takes contact forces with the old number of harmonics.
     """
     new_model = copy(compliance_model)

@@ -308,8 +308,8 @@ def solve_harmonic_balance(
     Notes
     -----
     PETSc options with the prefix ``crack_hb_`` reach SNES, for example ``-crack_hb_snes_monitor``.
-    In the block form they also reach KSP and PC: ``-crack_hb_ksp_type gmres -crack_hb_pc_type
-    bjacobi``.
+    In the block form they also reach KSP and PC, for example
+    ``-crack_hb_ksp_type gmres -crack_hb_pc_type bjacobi``.
 
     Source: the paper, eqs 2 to 15, with the corrections listed in ``docs/the_paper.md``.
 
