@@ -71,24 +71,26 @@ MAX_HARMONIC_DOUBLINGS_FOR_ORBIT = 2
 class Assessment:
     """Comparison of a harmonic-balance solution with exact motions.
 
-    Exact motions are integrated to rounding, from contact event to contact event (the exact flow).
-    The comparison has a predicted error and the nearest exact orbit. Each part is computed on first
-    request, from the solution alone.
+    The exact flow integrates motions to rounding, from contact event to contact event. The
+    nearest exact periodic motion is the orbit, and the distance to this orbit the error.
+    A Newton step predicts the error without the orbit. Each result is computed on first request.
+    Only the solution's motion must be given.
 
     Parameters
     ----------
     wave : PeriodicMotion
         Motion of the solution.
     exact_orbit : PeriodicOrbit, optional
-        Orbit whose Fourier coefficients the solution has.
+        Orbit whose truncated Fourier series is the solution. None: the solution solves the
+        equations of harmonic balance.
     source_orbit : PeriodicOrbit, optional
-        Orbit from whose coefficients the solution was found.
+        Orbit whose Fourier coefficients were the initial guess for the solution.
     more_modes : MoreModesComparison, optional
         Motion of ``exact_orbit`` with more modes, if known.
     flow : ContactFlow, optional
-        Exact flow, if known.
+        Exact flow of structure and law, if known. Default: made on first request.
     n_harmonic_doublings : int
-        Number of times that the harmonics may be doubled to find an orbit.
+        Maximum number of further solutions, each with twice the harmonics, to find an orbit.
     """
 
     def __init__(
@@ -112,7 +114,8 @@ class Assessment:
     def holds_for(self, wave: PeriodicMotion) -> bool:
         """Return True if this assessment was made for the motion ``wave``.
 
-        Arrays, structure and law of both motions must be the same objects, and numbers equal.
+        The assessed motion is compared with ``wave``. Arrays, structure and contact law must be the
+        same objects; numbers must be equal.
         """
         attribute_pairs = [
             (getattr(self.wave, wave_field.name), getattr(wave, wave_field.name))
@@ -128,8 +131,8 @@ class Assessment:
     def flow(self) -> ContactFlow | None:
         """Exact flow of structure and law, which integrates motions to rounding; or None.
 
-        None: a linear solution, no pairs, a smooth law, a large structure, or a rigid law with a
-        singular residual flexibility.
+        None for a linear solution, a structure without pairs, a smooth law, or a large structure.
+        Also None for a rigid law with a singular residual flexibility.
         """
         if self.exact_orbit is not None or self._flow is not None:
             return self._flow if self.exact_orbit is None else self.exact_orbit.flow
@@ -175,9 +178,10 @@ class Assessment:
 
     @cached_property
     def orbit_prediction_by_newton_step(self) -> OrbitPrediction | None:
-        """Solution after one Newton step towards an exact orbit, for all instants together.
+        """Prediction of the exact orbit near the solution, by one Newton step.
 
-        None: the exact motion cannot be integrated, or no exact flow is known.
+        The step corrects the states at 32 instants of the period together. None: the exact motion
+        cannot be integrated, or no exact flow is known.
         """
         flow, wave = self.flow, self.wave
         return (
@@ -236,9 +240,10 @@ class Assessment:
 
     @cached_property
     def close_orbit(self) -> PeriodicOrbit | None:
-        """Exact orbit of this solution that :attr:`is_accepted` allows; None otherwise.
+        """Exact orbit that is close enough to the solution to be accepted; otherwise None.
 
-        Unlike :attr:`nearest_orbit`, it is not searched from a solution with twice the harmonics.
+        :attr:`is_accepted` states the allowed distance. Unlike :attr:`nearest_orbit`, this orbit is
+        never found from a solution with twice the harmonics.
         """
         orbit = self._orbit_from_solution
         if self.exact_orbit is not None or orbit is None:
@@ -252,12 +257,19 @@ class Assessment:
 
     @cached_property
     def _orbit_from_solution(self) -> PeriodicOrbit | None:
-        """Exact orbit that was this solution's source, or that Newton's method finds from it."""
+        """Orbit used to find the solution, else an orbit near the solution.
+
+        If no orbit was used, Newton's method searches an orbit from the solution.
+        None: no orbit is found.
+        """
         return self._source_orbit or self._search_nearest_orbit()
 
     @property
     def _allowed_orbit_distance(self) -> float:
-        """Largest relative distance between the gaps of the solution and an accepted orbit."""
+        """Maximum relative distance between the gaps of solution and accepted orbit.
+
+        The distance is 0.1, or 0.5 if crack faces have no mass.
+        """
         return (
             MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES
             if self.wave.structure.has_massless_crack_faces
@@ -328,8 +340,9 @@ class Assessment:
     def relative_orbit_distance(self) -> float:
         """Relative distance between the gaps of solution and orbit; nan without an orbit.
 
-        Root mean square over the period and the pairs, divided by that of the orbit's gaps plus
-        clearance. In this divisor the mean over time is limited to the vibration.
+        The root mean square of the gap difference, over the period and the pairs, is divided by
+        that of the orbit's gaps plus clearance. In the divisor a mean larger than the vibration
+        counts only as much as the vibration.
         """
         return (
             np.nan
@@ -475,11 +488,19 @@ def wave_with_twice_the_harmonics(wave: PeriodicMotion) -> PeriodicMotion | None
 
 
 def _relative_change_at_load(wave: PeriodicMotion, change: np.ndarray, motion: np.ndarray) -> float:
-    """Return a change of the displacement along the load, divided by the motion (collective).
+    """Return the relative change of the displacement along the load (collective).
 
-    ``change`` and ``motion`` are displacements (n, n_local) [m] at n instants. Both are projected
-    on the load (:func:`project_motion_on_load`). The result is the ratio of both root sums of
-    squares.
+    Parameters
+    ----------
+    change, motion : (n, n_local) [m]
+        Change of the displacement, and the displacement itself, at n instants.
+
+    Returns
+    -------
+    float
+        Root sum of squares of the change, divided by that of the motion. Both are first projected
+        on the load (:func:`project_motion_on_load`). In the divisor a mean larger than the
+        vibration counts only as much as the vibration.
     """
     return change_relative_to_motion(
         *(
@@ -492,9 +513,10 @@ def _relative_change_at_load(wave: PeriodicMotion, change: np.ndarray, motion: n
 def relative_gap_distance(wave: PeriodicMotion, orbit: PeriodicOrbit) -> float:
     """Return the relative distance between the gaps of a solution and an orbit.
 
-    Root mean square over the period and the pairs, divided by that of the orbit's gaps plus
-    clearance. In this divisor the mean over time is limited to the vibration. The result is 0 if
-    the load presses the crack faces together, and gaps move only by rounding.
+    The root mean square of the gap difference, over the period and the pairs, is divided by that of
+    the orbit's gaps plus clearance. In the divisor a mean larger than the vibration counts only as
+    much as the vibration. The result is 0 if the load presses the crack faces together, so that
+    gaps move only by rounding.
     """
     orbit_samples = orbit.period_samples
     if are_crack_faces_still(orbit_samples):

@@ -285,6 +285,7 @@ class BlockSystem(Snes):
     def gap_without_static_part(self, unknown: np.ndarray) -> np.ndarray:
         """Return the slow gap from this rank's unknowns: (2H+1, n_pairs) [m] (collective).
 
+        ``unknown`` is the flat array of this rank's scaled unknowns (:meth:`scaled_unknowns_of`).
         The slow gap is the gap plus residual flexibility times contact force.
         """
         scaled_gap = self.structure.sum_over_ranks(
@@ -338,12 +339,14 @@ class BlockSystem(Snes):
     def take_full_steps(
         self, displacement: np.ndarray, stiffness_factor: float, tolerance: float
     ) -> tuple[np.ndarray, bool, int]:
-        """Take full Newton steps from a displacement (collective).
+        """Take full Newton steps, which are not shortened, from a displacement (collective).
+
+        The steps solve F(x) = 0, with scaled unknowns x and scaled residual F.
 
         Parameters
         ----------
         displacement : (2H+1, n_local) [m]
-            Displacement at which the steps begin.
+            Displacement coefficients at which the steps begin.
         stiffness_factor : float
             Factor of the contact stiffness, above 0, at most 1.
         tolerance : float
@@ -482,10 +485,20 @@ def _solve_with_growing_stiffness(
 ) -> tuple[np.ndarray, float]:
     """Solve at growing contact stiffness, up to the law's.
 
-    Newton's method starts at ``displacement`` (2H+1, n_local) [m], with the law's stiffness times
-    ``first_stiffness_factor``. Later starts are extrapolated from the last two solutions, linearly
-    in the logarithm of the factor. If a later start fails, the ratio of successive factors is
-    reduced, down to 1.1.
+    Newton's method starts with the law's stiffness times ``first_stiffness_factor``. Later starts
+    are extrapolated from the last two solutions, linearly in the logarithm of the factor. If a
+    later start fails, the ratio of successive factors is reduced, down to 1.1.
+
+    Parameters
+    ----------
+    block : BlockSystem
+        Equations for all displacements.
+    search : Search
+        Record of all attempts, with tolerance and iterations.
+    displacement : (2H+1, n_local) [m]
+        First guess for the displacement coefficients.
+    first_stiffness_factor : float
+        Factor of the law's stiffness for the first solution.
 
     Returns
     -------

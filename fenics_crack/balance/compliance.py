@@ -232,21 +232,23 @@ class ModalCompliance:
 
     The compliance is exact with any damping. Mode j has the impedance omega_j^2 - w^2 + i w c_j at
     the frequency w, with the natural frequency omega_j and the modal damping c_j. If damping
-    couples modes, the impedance is a full matrix (n_modes, n_modes).
+    couples modes, the impedance is a full matrix (n_modes, n_modes). H is the number of harmonics.
 
     Attributes
     ----------
     gap_shape : tuple of int
-        (2H+1, n_pairs).
+        Shape of gap coefficients, (2H+1, n_pairs).
     matrices : (H+1, n_pairs, n_pairs) complex [m/N]
-        Compliance for each harmonic, symmetric.
+        Symmetric compliance matrix for each harmonic, 0 to H.
     linear_gap : (2H+1, n_pairs) [m]
-        Gap under the load without contact forces: B^T u less the clearance.
+        Gap under the load without contact forces: B^T u - g0. B^T takes displacements u to gaps,
+        and g0 is the clearance.
     reachable_gap_basis : (n_pairs, n) or None
         Orthonormal basis of the gaps that modes can make; None if modes are at least as many as
         pairs.
     gap_without_modes : (2H+1, n_pairs) [m]
-        Contribution of coordinates without mass to the linear gap, less the clearance.
+        Linear gap without the modes' contribution: static gap by coordinates without mass, less the
+        clearance.
     """
 
     def __init__(self, structure: Structure, base_omega: float, load_rows: np.ndarray) -> None:
@@ -415,8 +417,12 @@ class ModalCompliance:
     ) -> np.ndarray:
         """Return linear combinations of the displacements under load and contact: (2H+1, m).
 
-        Each of the m rows ``selection_rows`` (m, n_local) has a factor for each dof.
-        ``contact_force`` has the coefficients (2H+1, n_pairs) [N].
+        Parameters
+        ----------
+        selection_rows : (m, n_local)
+            Factor for each dof. Each row gives a column of the result.
+        contact_force : (2H+1, n_pairs) [N]
+            Contact force coefficients.
         """
         displacement_of_modes = from_complex(
             -self._negative_modal_displacement(contact_force)
@@ -450,19 +456,21 @@ class ModalCompliance:
         damping: tuple[float, float],
         residual_compliance: np.ndarray | None = None,
     ) -> dict[str, Any] | None:
-        """Return fields of the C struct ``structure_at_pairs`` for this compliance by modes.
+        """Return the modes as fields of the kernel's C struct ``structure_at_pairs``.
 
-        Along a path the response's frequency w and the damping factor d change linearly. At
-        harmonic k, mode j has the receptance
+        Used to follow a path along which the response's frequency w and the damping factor d change
+        linearly. Mode j has the squared natural frequency s_j, the modal damping c_j, and the gaps
+        P_j. At harmonic k its receptance is
 
             h_kj = 1 / (s_j - (k w)^2 + i k w d c_j).
 
-        With diag(h_k) of all modes, the dynamic compliance R_k less the residual flexibility R_inf
-        is
+        R_k is the dynamic compliance, R_inf the residual flexibility. With the matrix diag(h_k) of
+        all receptances,
 
-            R_k - R_inf = P^T diag(h_k) P + static_compliance.
+            R_k - R_inf = P^T diag(h_k) P + static_compliance,
 
-        The load adds P^T diag(h_k) l_k to the gap without contact.
+        with the static compliance of the coordinates without mass, less R_inf.
+        The modal load l_k adds P^T diag(h_k) l_k to the gap without contact.
 
         Parameters
         ----------
@@ -519,18 +527,18 @@ class ModalCompliance:
 
             Z_k = omega_j^2 - (k w)^2 + i k w d c.
 
-        The inverse H_k has the derivatives
+        The receptance Y_k = 1 / Z_k has the derivatives
 
-            dH_k/dw = -H_k (-2 k^2 w + i k d c) H_k,        dH_k/dd = -H_k (i k w c) H_k.
+            dY_k/dw = -Y_k (-2 k^2 w + i k d c) Y_k,        dY_k/dd = -Y_k (i k w c) Y_k.
 
-        If damping couples modes, Z_k, H_k and c are matrices.
+        If damping couples modes, Z_k, Y_k and c are matrices.
 
         Parameters
         ----------
         parameter_name : "omega", "load", "damping" or "clearance"
             Response's frequency, factor of the load, factor of the damping, or added clearance.
         contact_force : (2H+1, n_pairs) [N]
-            Coefficients of the contact forces.
+            Contact force coefficients.
         """
         harmonic_orders = self._harmonic_orders[:, None]
         if parameter_name == "clearance":
@@ -552,9 +560,16 @@ class ModalCompliance:
     def selected_displacement_omega_derivative(
         self, selection_rows: np.ndarray, contact_force: np.ndarray
     ) -> np.ndarray:
-        """Return the frequency derivative of :meth:`selected_displacement`: (2H+1, m).
+        """Return the frequency derivative of linear combinations of displacements: (2H+1, m).
 
-        The contact forces are fixed; the frequency is the response's [rad/s].
+        The derivative is by the response's frequency [rad/s], at fixed contact forces.
+
+        Parameters
+        ----------
+        selection_rows : (m, n_local)
+            Factor for each dof. Each row gives a column of the result.
+        contact_force : (2H+1, n_pairs) [N]
+            Contact force coefficients.
         """
         return from_complex(
             -self._negative_modal_displacement_omega_derivative(contact_force)
@@ -608,19 +623,22 @@ class ModalCompliance:
 class FactoredCompliance:
     """Dynamic compliance of the gaps by a sparse factorisation for each harmonic.
 
-    The compliance is exact. The factored matrices are kept until :meth:`destroy`.
+    The compliance is exact. The factored matrices are kept until :meth:`destroy`. H is the number
+    of harmonics.
 
     Attributes
     ----------
     structure : Structure
+        Structure whose stiffness, mass and damping are factorised.
     load : (2H+1, n_local) [N]
         Fourier coefficients of the load.
     gap_shape : tuple of int
-        (2H+1, n_pairs).
+        Shape of gap coefficients, (2H+1, n_pairs).
     matrices : (H+1, n_pairs, n_pairs) complex [m/N]
-        Compliance for each harmonic, symmetric.
+        Symmetric compliance matrix for each harmonic, 0 to H.
     linear_gap : (2H+1, n_pairs) [m]
-        Gap under the load without contact forces: B^T u less the clearance.
+        Gap under the load without contact forces: B^T u - g0. B^T takes displacements u to gaps,
+        and g0 is the clearance.
     """
 
     reachable_gap_basis: np.ndarray | None = None
@@ -710,11 +728,12 @@ ComplianceModel = ModalCompliance | FactoredCompliance
 
 
 def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) -> ComplianceModel:
-    """Return a compliance model with another number of harmonics.
+    """Return a compliance model with another number of harmonics, ``harmonics``.
 
-    :class:`FactoredCompliance` has no factored matrices for harmonics above the present H. There,
-    the lowest modes (at least 20) respond dynamically and higher modes statically, enough for an
-    error estimate. The new model's method ``displacement`` still takes forces with H harmonics.
+    Used for coarser solutions and, with added harmonics, for error estimates. A
+    :class:`FactoredCompliance` has no factored matrices for added harmonics. The lowest modes (at
+    least 20) then respond dynamically, and higher modes statically. The new model's method
+    ``displacement`` still takes contact forces with the old number of harmonics.
     """
     new_model = copy(compliance_model)
     resized_matrices = compliance_model.matrices[: harmonics + 1]
@@ -766,10 +785,11 @@ def _omegas_damping_rates_and_gap_shapes(
 
 
 def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLaw) -> float:
-    """Return the rounding error |F| / |x| of the residual F for uncoupled pairs.
+    """Return the rounding error of the harmonic-balance equations with uncoupled pairs.
 
-    x are the unknowns. The error is machine epsilon times the largest product of contact stiffness
-    and compliance. Raises InputError if rounding leaves nothing of the contact force.
+    The relative residual is |F| / |x|, with the unknowns x and the residual F. The rounding error
+    is machine epsilon times the largest product of the law's stiffness and the compliance. Raises
+    InputError if rounding leaves nothing of the contact force.
     """
     max_contact_stiffness = float(np.max(law.stiffness))
     row_sums = np.abs(compliance_model.matrices).sum(axis=2)

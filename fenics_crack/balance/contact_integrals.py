@@ -69,8 +69,8 @@ class ContactForces(ABC):
     def force_change(self, gap_change: np.ndarray) -> np.ndarray:
         """Return the linearised force change for a change of the slow gaps.
 
-        Both are Fourier coefficients (2H+1, n_pairs) [N], [m]. The slow gap is the gap plus
-        residual flexibility times contact force.
+        ``gap_change`` [m] and the result [N] are Fourier coefficients, (2H+1, n_pairs) each. The
+        slow gap is the gap plus residual flexibility times contact force.
         """
 
     @abstractmethod
@@ -104,9 +104,9 @@ class ContactForces(ABC):
 
     @abstractmethod
     def log_stiffness_derivative(self) -> np.ndarray:
-        """Return the forces' derivative by ln k: (2H+1, n_pairs) [N].
+        """Return the forces' derivative by the logarithm of the contact stiffness.
 
-        k is the contact stiffness.
+        The derivative of the force coefficients, (2H+1, n_pairs) [N], is taken at fixed slow gaps.
         """
 
 
@@ -180,10 +180,10 @@ class ContactIntegrals(ABC):
         """
 
     def force(self, gap_coefficients: np.ndarray) -> np.ndarray:
-        """Return the force coefficients for slow gap coefficients.
+        """Return the contact forces' coefficients for given slow gaps.
 
-        Both are (2H+1, n_pairs) [N], [m]. Slow gap: gap plus residual flexibility times contact
-        force.
+        The slow gaps' coefficients ``gap_coefficients`` [m] and the result [N] are (2H+1, n_pairs)
+        each. The slow gap is the gap plus residual flexibility times contact force.
         """
         return self.linearise(gap_coefficients).force
 
@@ -212,9 +212,21 @@ def integrals_with_uncoupled_pairs(
 ) -> PairIntegrals:
     """Return integrals of contact forces for uncoupled pairs, exact if possible.
 
-    Exact integrals require a piecewise linear law, lambda = k max(0, g), and no
-    ``instants_per_period``. Otherwise forces are sampled at ``instants_per_period`` instants; by
-    default, at :func:`default_instants_per_period` in each of ``n_load_periods`` load periods.
+    Exact integrals require a piecewise linear law, lambda = k max(0, g), for the force lambda and
+    the gap g. Other laws are integrated from samples.
+
+    Parameters
+    ----------
+    law : ContactLaw
+        Law for all pairs.
+    harmonics : int
+        Number of harmonics H of the forces.
+    instants_per_period : int, optional
+        Number of samples in a period of the response; if given, also piecewise linear laws are
+        sampled. Default: exact integrals, or :func:`default_instants_per_period` samples in each
+        load period.
+    n_load_periods : int
+        Load periods in a period of the response.
     """
     if instants_per_period is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)
@@ -237,10 +249,10 @@ def default_instants_per_period(harmonics: int) -> int:
 class SampledIntegrals(ContactIntegrals):
     """Integrals of uncoupled contact forces by samples at equally spaced instants.
 
-    The trapezoidal rule, by the fast Fourier transform, for any law. A softness in series divides
-    the contact stiffness by 1 + softness. The derivatives need the slope's harmonics up to 2 H:
-    with 4 H instants or fewer, high harmonics alias to low ones. With 2H+1 instants, as many as
-    coefficients, the method is collocation.
+    The trapezoidal rule is applied by the fast Fourier transform, for any law. A relative softness
+    in series divides the contact stiffness by 1 + softness. The derivatives need the harmonics of
+    the law's slope (force by gap) up to 2 H. With 4 H instants or fewer, high harmonics alias to
+    low ones. With 2H+1 instants, as many as coefficients, the method is collocation.
     """
 
     samples: int
@@ -286,9 +298,9 @@ class SampledIntegrals(ContactIntegrals):
 class ExactIntegrals(ContactIntegrals):
     """Exact integrals of uncoupled contact forces, for lambda = k max(g, 0).
 
-    Between the instants at which a pair opens or closes, the integrals have a closed form. The
-    slope kappa is k while the pair is closed, else 0. With the phase theta, the means over a period
-    are
+    lambda is the force, g the gap (positive: penetration), and k the contact stiffness. The
+    integrals have a closed form between the instants at which a pair opens or closes. The slope
+    kappa is k while the pair is closed, else 0. With the phase theta, the means over a period are
 
         c_m + i s_m = 1 / (2 pi) int kappa exp(i m theta) d theta.
 
@@ -374,10 +386,10 @@ class PairForces(ContactForces):
         return jacobian_matrix
 
     def log_stiffness_derivative(self) -> np.ndarray:
-        """Return the forces' derivative by ln k: (2H+1, n_pairs) [N].
+        """Return the forces' derivative by the logarithm of the contact stiffness.
 
-        Forces of uncoupled pairs are proportional to the contact stiffness k: the derivative is the
-        forces.
+        Forces of uncoupled pairs are proportional to the contact stiffness. So the derivative,
+        (2H+1, n_pairs) [N], equals the forces.
         """
         return self.force
 
@@ -605,10 +617,17 @@ class CoupledForces(ContactForces):
 
 
 class _KernelExactForceEvaluator:
-    """C object that computes exact forces for given numbers of harmonics and pairs.
+    """C object to compute exact forces for given numbers of harmonics and pairs.
 
-    Several :class:`_ExactForces` share the C object. ``evaluated_forces`` is the one for which the
-    C object holds the results at present.
+    Several :class:`_ExactForces` share the C object. At a time it holds the results of a single
+    object.
+
+    Attributes
+    ----------
+    handle : cffi pointer
+        Address of the C object.
+    evaluated_forces : CoupledForces or None
+        Object for which the C object holds the results at present.
     """
 
     def __init__(self, harmonics: int, n_pairs: int) -> None:

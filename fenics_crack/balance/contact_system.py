@@ -103,9 +103,9 @@ ResidualDerivativeFunction = Callable[["ContactPoint"], np.ndarray]
 def default_projection_weight(compliance_model: ComplianceModel) -> float:
     """Return the default stiffness of a rigid contact between crack faces with mass [N/m].
 
-    The stiffness is the weight eps in the dynamic Lagrangian lambda = eps max(0, g + lambda / eps):
-    the inverse of the largest row sum of static compliance. Raises InputError if the pairs cannot
-    move.
+    This stiffness is the weight eps in the law lambda = eps max(0, g + lambda / eps) (dynamic
+    Lagrangian), with the contact force lambda and the gap g. It is 1 over the largest row sum
+    of the static compliance matrix. Raises InputError if the pairs cannot move.
     """
     max_row_sum = float(np.abs(compliance_model.matrices[0]).sum(axis=1).max())
     if not max_row_sum > 0.0:
@@ -127,9 +127,17 @@ class ContactSystem:
     tangential columns follow. g_lin is the gap without contact forces, R_k the dynamic compliance
     at harmonic k, R_inf the residual flexibility, b the forces' coefficients.
 
-    The path parameter p leads from soft contact to the law itself, at p = 1. The compliance in
-    series with every pair is ``start_softness`` |1 - p|^3, in units of
-    ``integrals.mean_pair_compliance``.
+    The path parameter p leads from soft contact to the law itself, at p = 1.
+
+    Parameters
+    ----------
+    compliance_model : ComplianceModel
+        Dynamic compliance R_k of the gaps, and g_lin.
+    integrals : ContactIntegrals
+        Object to compute b from s.
+    start_softness : float
+        Compliance in series with every pair at p = 0, in units of
+        ``integrals.mean_pair_compliance``. It falls like |1 - p|^3.
     """
 
     def __init__(
@@ -310,10 +318,15 @@ class ContactSystem:
         unknown: np.ndarray,
         residual_derivative_by_parameter_function: ResidualDerivativeFunction,
     ) -> ContactPoint:
-        """Return the equations, linearised at a slow gap.
+        """Return the equations, linearised at a slow gap, for any path parameter.
 
-        ``unknown`` (2H+1, n_rows) [m] is the slow gap: gap plus residual flexibility times contact
-        force. The given function computes the residual's derivative by a path parameter.
+        Parameters
+        ----------
+        unknown : (2H+1, n_rows) [m]
+            Slow gap: gap plus residual flexibility times contact force.
+        residual_derivative_by_parameter_function : callable
+            Takes the linearised equations; returns the residual's derivative (2H+1, n_rows) by the
+            path parameter.
         """
         return ContactPoint(
             self, unknown, self.integrals, residual_derivative_by_parameter_function
@@ -340,17 +353,18 @@ class ContactSystem:
         return 1.0 / max(min_series_compliance, 1e-300)
 
     def system_along_friction_factor(self) -> SystemAlongFrictionFactor:
-        """Return these equations along a factor for the friction coefficient.
+        """Return these equations with a factor for the friction coefficient as path parameter.
 
-        The path parameter is the factor: 0 without friction, 1 for the law.
+        The factor is 0 without friction, and 1 for the law.
         """
         return SystemAlongFrictionFactor(self.compliance_model, self.integrals)
 
     def system_along_softness(self) -> ContactSystem:
-        """Return these equations along a contact that hardens, from very soft to the law.
+        """Return these equations along a path from very soft contact to the law.
 
-        At the path parameter 0 the compliance in series with every pair is 20 times the dynamic
-        compliance; at 1 the contact is the law's.
+        The path parameter is 0 for soft contact, and 1 for the law. At 0 the compliance in series
+        with every pair is 20 times the dynamic compliance (largest row sum, without residual
+        flexibility).
         """
         max_row_sum = float(np.abs(self.dynamic_less_static_compliance).sum(axis=2).max())
         start_softness = max_row_sum / (
@@ -370,9 +384,9 @@ class ContactSystem:
 
 
 class SystemAlongFrictionFactor(ContactSystem):
-    """Harmonic-balance equations along a factor for the friction coefficient.
+    """Harmonic-balance equations along a path of growing friction.
 
-    The path parameter is the factor: 0 without friction, 1 for the law.
+    The path parameter is a factor for the friction coefficient: 0 without friction, 1 for the law.
     """
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
@@ -518,12 +532,13 @@ class PeriodicMotion:
 
         u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t),    w = omega / subharmonic
 
-    u are displacements of dofs. Coefficients have the rows a0, a1, b1, ..., aH, bH.
+    u are displacements of dofs, and w is the response's frequency. Coefficients have the rows a0,
+    a1, b1, ..., aH, bH. A positive gap is penetration.
 
     Attributes
     ----------
     structure : Structure
-        Structure that vibrates.
+        Vibrating structure.
     omega : float [rad/s]
         Angular frequency of the load.
     contact : ContactLaw or None
@@ -581,7 +596,11 @@ class PeriodicMotion:
 
     @cached_property
     def structure_with_pair_per_row(self) -> Structure:
-        """Structure with a pair for each contact row: with friction or layers two for each pair."""
+        """Structure with a contact pair for each scalar contact force.
+
+        With friction, each tangential gap is an additional pair. Under the layered law every pair
+        comes twice. Under other laws the result is the structure itself.
+        """
         return add_pair_for_each_contact_force(self.contact, self.structure)
 
     @property
@@ -790,9 +809,14 @@ class PeriodicMotion:
 
 
 def _join_columns(normal_columns: np.ndarray, tangential_columns: np.ndarray | None) -> np.ndarray:
-    """Return normal and tangential columns side by side.
+    """Return normal and tangential columns in one array, side by side.
 
-    If ``tangential_columns`` is None, return the normal columns.
+    Parameters
+    ----------
+    normal_columns : (n, n_pairs)
+        Normal gaps or forces at n instants, or n Fourier coefficients.
+    tangential_columns : (n, n_pairs) or None
+        Tangential gaps or forces; None: the normal columns are returned alone.
     """
     return (
         normal_columns
@@ -893,8 +917,9 @@ class CompiledEquations(Equations):
         return CompiledPoint(self, require_shape(unknown, *self.shape), parameter)
 
     def function_table_at(self, point: CompiledPoint) -> Any:
-        """Return a pointer to the kernel's C functions, with the equations evaluated at ``point``.
+        """Return a pointer to the kernel's C functions for the equations at a point.
 
+        The equations are evaluated at ``point`` first, unless the kernel still holds this point.
         Raises ConvergenceError if no contact forces were found at an instant.
         """
         if (
@@ -920,7 +945,8 @@ class CompiledEquations(Equations):
     def max_dynamic_row_sum(self, parameter: float) -> float:
         """Return the largest row sum of dynamic compliance less residual flexibility [m/N].
 
-        Absolute values are summed. ``parameter`` is the path parameter, 0 to 1.
+        Absolute values are summed in each row. The largest sum over all harmonics is returned.
+        ``parameter`` is the path parameter, 0 to 1.
         """
         self._last_linearisation_reference = None
         max_row_sum = float(kernel.largest_dynamic_row_sum(self._point_handle, parameter))
@@ -972,7 +998,8 @@ class CompiledPoint(Linearisation):
 def residual_friction_scale_derivative(point: ContactPoint) -> np.ndarray:
     """Return the residual's derivative by a factor for the friction coefficient.
 
-    The result is (2H+1, n_rows) [m], with normal, then tangential gaps as columns.
+    ``point`` has the equations, linearised at a slow gap under a friction law. The result is
+    (2H+1, n_rows) [m], with normal, then tangential gaps as columns.
     """
     assert isinstance(point.linearised_forces, FrictionForces)
     return multiply_compliance_and_force(

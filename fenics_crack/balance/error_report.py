@@ -73,18 +73,18 @@ PART_NAMES_OF_TOTAL_ERROR = ("truncation", "reduction", "sampling", "residual")
 class ErrorReport(Described):
     """Estimated relative errors of a solution.
 
-    Gap errors are divided by the root mean square of B^T u, the gap plus clearance. In this divisor
-    the mean over time is limited to the vibration: a large mean does not make errors small. An
-    error of 1 is unknown: the equations with more harmonics or modes were not solved, or lead to
-    another motion.
+    Gap errors are divided by the root mean square of the gap plus clearance. In the divisor a mean
+    over time larger than the vibration counts only as much as the vibration. So a large mean
+    does not make errors small. An error of 1 is unknown: the equations with more harmonics or modes
+    were not solved, or lead to another motion.
 
     Attributes
     ----------
     residual : float
-        Larger of two: the residual of the equations, and the mismatch B^T u - g0 - g of
-        displacements u, clearances g0 and gaps g after expansion to all dofs.
+        Larger of two errors: the residual of the equations, and the mismatch between the gaps and
+        the displacements after expansion to all dofs.
     truncation : float
-        Error due to the harmonics above H.
+        Error due to the harmonics above H, the highest kept.
     sampling : float
         Error of contact integrals by samples; 0 for exact integrals.
     reduction : float
@@ -95,8 +95,8 @@ class ErrorReport(Described):
         Truncation and reduction error of the displacement at the load, along the vibrating load. It
         is relative to that displacement, and usually much smaller than the errors of the gap.
     confirmed : bool
-        False if no exact orbit was found: the truncation error is then 3 p / (1 + 2 p) for a
-        predicted error p.
+        False if an exact orbit was searched and none was found. The truncation error is then
+        3 p / (1 + 2 p) for a predicted error p.
     """
 
     residual: float = 0.0
@@ -109,7 +109,10 @@ class ErrorReport(Described):
 
     @property
     def total(self) -> float:
-        """Sum of the errors in solving the given law, without the penetration."""
+        """Sum of the residual, truncation, sampling and reduction errors.
+
+        The penetration is left out: the given law permits it. So is the displacement error.
+        """
         return self.residual + self.truncation + self.sampling + self.reduction
 
     @property
@@ -315,6 +318,9 @@ def relative_rms_of_gap_change(
 ) -> float:
     """Return the root mean square of a gap change, divided by that of gap plus clearance.
 
+    In the divisor a mean over time larger than the vibration counts only as much as the
+    vibration.
+
     Parameters
     ----------
     gap_change : (m, n_rows) [m]
@@ -327,8 +333,8 @@ def relative_rms_of_gap_change(
     Returns
     -------
     float
-        In the divisor the mean over time is limited to the vibration. 0 if the load presses the
-        crack faces together, so that gaps move only by rounding.
+        Relative change; 0 if the load presses the crack faces together, so that gaps move only by
+        rounding.
     """
     gap_plus_clearance = point.gap.copy()
     linear_gap = point.system.compliance_model.linear_gap.copy()
@@ -346,11 +352,17 @@ def relative_rms_of_gap_change(
 
 
 def _truncation_errors(point: ContactPoint, wave: PeriodicMotion) -> GapAndDisplacementErrors:
-    """Return the truncation errors, by solving again with more harmonics.
+    """Return the truncation errors of a solution, by solving again with more harmonics.
 
-    For solutions without an exact flow. Four times as many harmonics are taken, fewer if the
-    equations would be large, but at least twice as many. For uncoupled pairs Newton's method
-    factors the Jacobian: iterative linear solvers do not converge with many stiff pairs.
+    Used for solutions without an exact flow. Four times as many harmonics are taken. If the
+    Jacobian would then be too large to factor, fewer are taken, but at least twice as many.
+
+    Parameters
+    ----------
+    point : ContactPoint
+        Equations at the solution.
+    wave : PeriodicMotion
+        Motion of the solution.
 
     Returns
     -------
@@ -430,10 +442,11 @@ def _reduction_errors(
 ) -> GapAndDisplacementErrors:
     """Return the modal truncation errors of gaps and of displacement at the load.
 
-    The reduced structure has a reference: a reduction with more modes. The equations are solved
-    again for the reference. The change removes only a fraction of the truncation error,
-    :attr:`ReducedStructure.error_share_removed_by_reference`. So the changes are divided by this
-    fraction. Both errors are 0 without a reference.
+    The reference of a reduced structure is a reduction with more modes. The equations of the
+    solution, ``point`` with the motion ``wave``, are solved again for the reference. This changes
+    gaps and displacement by a known fraction of the truncation error,
+    :attr:`ReducedStructure.error_share_removed_by_reference`. So each error is the relative change,
+    divided by the fraction. Both errors are 0 without a reference.
     """
     more_modes_structure = more_modes_structure_of(wave)
     residual_compliance = point.system.residual_compliance
@@ -499,11 +512,13 @@ def mean_square(coefficients: np.ndarray) -> float:
 
 
 def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
-    """Return the mean square over a period, with the mean limited to the vibration.
+    """Return the mean square of n quantities over a period, as a divisor of relative errors.
 
-    ``coefficients`` (2H+1, n) have the mean, then cosine and sine of each harmonic. Squares are
-    summed over n. A sum over the means that exceeds the vibration's sum is replaced by it, unless
-    the vibration is rounding error. The result is at least 1e-300, for divisions.
+    A large mean would make relative errors small, so the mean is limited. Let v be the vibration's
+    mean square, and m the squared mean over time, both summed over the quantities. If v is rounding
+    error, the result is v + m; otherwise it is v + min(m, v). The result is at least 1e-300.
+
+    ``coefficients`` (2H+1, n) have the mean, then cosine and sine of each harmonic.
     """
     vibration_mean_square = 0.5 * np.sum(coefficients[1:] ** 2)
     squared_means_sum = np.sum(coefficients[0] ** 2)

@@ -94,7 +94,11 @@ class FrictionIntegrals(ContactIntegrals):
 
     @cached_property
     def friction_contact_solver(self) -> FrictionContactSolver:
-        """Solver for contact forces by sets of closed and sliding pairs."""
+        """Solver for contact and friction forces at one instant, from the slow gaps.
+
+        The solver finds which pairs are closed and which slide. Its friction coefficient is the
+        law's times ``friction_scale``.
+        """
         friction_law = friction_of(self.law)
         assert friction_law is not None
         scaled_coefficient = np.multiply(self.friction_scale, friction_law.coefficient)

@@ -215,7 +215,11 @@ def linear_response(
 def _complex_linear_displacement(
     structure: Structure, omega: float, complex_load: np.ndarray
 ) -> np.ndarray:
-    """Return the complex displacement under a harmonic load, both (n_local,) [m], [N]."""
+    """Return the complex displacement amplitude without contact: (n_local,) [m].
+
+    ``complex_load`` (n_local,) [N] is the complex amplitude of a harmonic load with the frequency
+    ``omega`` [rad/s].
+    """
     if not structure.has_massless_crack_faces:
         with FactorisedDynamicStiffness(structure, omega) as dynamic_stiffness:
             return dynamic_stiffness.solve(
@@ -243,10 +247,11 @@ def solve_harmonic_balance(
 ) -> PeriodicSolution:
     """Return the steady periodic vibration with contact between crack faces (collective).
 
-    The displacement u(t) solves the equation of motion M u'' + C u' + K u + B lambda(g) = f(t). The
-    gaps are g = B^T u - g0, with clearances g0, and lambda are the contact forces. The equation is
-    projected on the mean and the first H harmonics: A u + B b(g) = c. A is the dynamic stiffness;
-    b are coefficients of the contact force, c of the load.
+    The displacement u(t) solves the equation of motion M u'' + C u' + K u + B lambda(g) = f(t). M,
+    C and K are mass, damping and stiffness, and f is the load. B takes contact forces lambda to the
+    dofs. The gaps are g = B^T u - g0, with clearances g0. The equation is projected on the mean and
+    the first H harmonics: A u + B b(g) = c. A is the dynamic stiffness; b are coefficients of the
+    contact force, c of the load.
 
     Parameters
     ----------
@@ -257,32 +262,35 @@ def solve_harmonic_balance(
     contact : ContactLaw
         Law for all pairs.
     harmonics : int, optional
-        Number of harmonics H; default: 5, or as many as ``tolerance`` requires.
+        Number of harmonics H. Default: as many as ``tolerance`` requires; without ``tolerance`` 5,
+        or the load's number if larger.
     samples : int, optional
         Instants per period of the response at which the contact force is evaluated, at least
         4 H + 1. Default: exact integrals if the law permits (:class:`fenics_crack.Problem`).
     initial : PeriodicSolution, optional
-        Solution at which Newton's method starts; default: the linear solution. It may have other
-        harmonics, and a subharmonic that divides the response's.
+        Solution at which Newton's method starts; default: the linear solution. The number of
+        harmonics may differ. The solution's subharmonic must divide ``subharmonic``.
     subharmonic : int
         The response has this many times the load's period.
     tolerance : float, optional
-        Choose H, at least 5 times ``subharmonic``, so that the relative error
-        (:class:`ErrorReport`) is below this; for a structure with many dofs also the modes of a
-        reduction. The status says what was chosen, or what limits the error of the best solution.
-        If the exact flow is known, the coefficients belong to an exact orbit. ``harmonics`` and
-        ``samples`` are then left out.
+        Maximum relative error (:class:`ErrorReport`). H is then chosen, at least 5 times
+        ``subharmonic``, so ``harmonics`` and ``samples`` must not be given. A structure with many
+        dofs is reduced, and the number of modes is chosen, too. If the exact flow is known, the
+        coefficients belong to an exact orbit. The status says what was chosen, or what limits the
+        error of the best solution.
     form : "condensed" or "block"
-        Unknowns are the gaps; or all displacements, by PETSc's SNES on a sparse block system
-        (``fenics_crack.balance.block_system``). Both have the same integrals of the contact force
-        and the same solutions. The block form is a check, and takes 20 times the time or more. It
-        is refused with a tolerance, with friction, and for a rigid law of crack faces with mass.
+        "condensed": the unknowns are the gaps. "block": the unknowns are all displacements, found
+        by PETSc's SNES on a sparse block system (``fenics_crack.balance.block_system``). Both have
+        the same integrals of the contact force and the same solutions. The block form is a check,
+        and takes 20 times the time or more. Refused with a tolerance, with friction, and for a
+        rigid law of crack faces with mass.
     residual_tolerance : float
-        Maximum ``|F(x)| / |x|`` of the algebraic equations. With very stiff contact, rounding
-        leaves more: eps k R, with machine epsilon eps, contact stiffness k and compliance R. From
-        k R = 1e5 on, that is accepted and reported.
+        Maximum ``|F(x)| / |x|`` of the algebraic equations F(x) = 0. With very stiff contact,
+        rounding leaves a larger residual: eps k R, with machine epsilon eps, contact stiffness k
+        and compliance R. From k R = 1e5 on, this residual is accepted and reported.
     throw : bool
-        Raise if nothing converged (else ``converged`` is False), or the tolerance is missed.
+        True: raise ConvergenceError if no attempt converged, or the tolerance is missed. False:
+        return the last iterate, with ``converged`` False, or the best solution.
 
     Returns
     -------
@@ -292,15 +300,16 @@ def solve_harmonic_balance(
     Raises
     ------
     InputError
-        An argument cannot be used; or nothing converged with a law whose tangent is not the slope
+        An argument cannot be used. Or no attempt converged, and the law's tangent is not the slope
         of its force.
     ConvergenceError
         No attempt converged, with the residual history; or ``tolerance`` is missed.
 
     Notes
     -----
-    PETSc options with the prefix ``crack_hb_`` reach SNES, for example ``-crack_hb_snes_monitor``;
-    of the block form its KSP and PC, too: ``-crack_hb_ksp_type gmres -crack_hb_pc_type bjacobi``.
+    PETSc options with the prefix ``crack_hb_`` reach SNES, for example ``-crack_hb_snes_monitor``.
+    In the block form they also reach KSP and PC, for example
+    ``-crack_hb_ksp_type gmres -crack_hb_pc_type bjacobi``.
 
     Source: the paper, eqs 2 to 15, with the corrections listed in ``docs/the_paper.md``.
 
@@ -339,8 +348,9 @@ def solve_harmonic_balance(
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     """Raise InputError unless a solution can start the search for a problem's solution.
 
-    Dofs and pairs must be the same; for crack faces without mass, only the pairs. The solution's
-    subharmonic must divide the problem's.
+    The structure of ``initial`` must have as many dofs and pairs as the structure of ``problem``.
+    If crack faces have no mass, the number of dofs may differ. The subharmonic of ``initial`` must
+    divide the subharmonic of ``problem``.
     """
     structure, subharmonic = problem.structure, problem.subharmonic
     check_argument_class_or_unwrap_run("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
@@ -421,7 +431,8 @@ def solve_to_tolerance(
         Reductions with more and more modes, each made on demand. Default: a large structure is
         reduced to 10, 20, ... modes; a small or reduced structure is solved as it is.
     modes_key : str
-        Key for the number of modes in a scene, for messages.
+        Name of the input file's entry for the number of modes, for messages. "": messages say
+        "modes", or "families" for a bladed disk.
     """
     whole_structure = solver.problem.structure
     if structures is None and (
@@ -491,12 +502,13 @@ def solve_from_neighbour(
     """Return a small structure's solution, searched from a neighbouring solution.
 
     With a tolerance, an exact orbit is searched first. The solution keeps as many of the orbit's
-    harmonics as bring the truncation error below the tolerance. Without an orbit, harmonics are
-    added instead.
+    harmonics as bring the truncation error below the tolerance. If no orbit is found, harmonics are
+    added to the harmonic-balance solution.
 
     Parameters
     ----------
     problem : Problem
+        Problem to solve, with a small structure.
     neighbour : PeriodicSolution or None
         Start of the search; None: the linear solution.
     tolerance : float, optional
@@ -543,9 +555,10 @@ def _with_tolerance_status(
 ) -> PeriodicSolution:
     """Return a solution whose status says if the tolerance is met.
 
-    If it is missed, the status names a remedy, or ConvergenceError is raised if ``solver.throw`` is
-    True. ``modes_key`` is the scene's key for the number of modes, "" for the argument's name. A
-    solution that did not converge is returned unchanged.
+    If it is missed, the status names a remedy. If ``solver.throw`` is True, ConvergenceError is
+    then raised with this text. A solution that did not converge is returned unchanged.
+    ``modes_key`` is the name of the number of modes in messages; "": "modes", or "families" for a
+    bladed disk.
     """
     report, structure = solution.report, solution.structure
     if not solution.converged:
@@ -593,8 +606,9 @@ def _solve_with_present_modes(
 ) -> PeriodicSolution:
     """Return a solution to a tolerance with the structure's present modes.
 
-    The solution is an exact orbit if there is an exact flow and an orbit is found. Otherwise
-    harmonics are added.
+    If there is an exact flow and an orbit is found, the solution is this orbit's Fourier series.
+    Otherwise harmonics are added to the harmonic-balance solution. ``tolerance`` limits the total
+    error, and ``initial`` is the start of the search; None: the linear solution.
     """
     problem = solver.problem
     flow = exact_flow_or_none(problem.structure, problem.contact)
@@ -668,7 +682,18 @@ def _search_orbit_from_solutions(
     *,
     prefer_stable: bool = True,
 ) -> tuple[list[PeriodicSolution], OrbitSearchResult]:
-    """Search for an orbit from harmonic-balance solutions with ascending harmonics.
+    """Search for an orbit from harmonic-balance solutions with 5 to 40 harmonics, ascending.
+
+    Parameters
+    ----------
+    solver : Solver
+        Solver for the problem, used with other numbers of harmonics.
+    flow : ContactFlow
+        Exact flow, in which the orbit is searched.
+    initial : PeriodicSolution or None
+        Start of each harmonic-balance solution. Its orbit, if any, is tried first.
+    prefer_stable : bool
+        True: without ``initial``, the search goes on after an unstable orbit.
 
     Returns
     -------
@@ -757,17 +782,20 @@ def orbit_solution_to_tolerance(
     Parameters
     ----------
     problem : Problem
+        Problem of the orbit, with the minimum number of harmonics.
     orbit : PeriodicOrbit
+        Exact orbit.
     tolerance : float
         Maximum relative error of the gaps.
     initial : PeriodicSolution, optional
-        Neighbouring solution, whose factored matrices make the search with more modes faster.
+        Neighbouring solution. With the same structure, its solver for I - M makes the search with
+        more modes faster; M is the monodromy matrix.
     max_predicted_change_for_search : float
-        More modes change the gap; a linear prediction gives the relative change. Up to this change
-        Newton's method searches the orbit with more modes.
+        Largest relative gap change by more modes up to which Newton's method searches the orbit
+        with more modes. A linear prediction gives the change.
     balances_more_modes : bool
-        If Newton's method fails, search this orbit by harmonic balance. That costs about as much as
-        a solution, so the points of a curve leave it out.
+        True: if Newton's method fails, search the orbit with more modes by harmonic balance. The
+        search takes about as long as a solution, so points of a curve have False.
     """
     max_harmonics = MAX_HARMONICS * problem.subharmonic
     coefficients = orbit.coefficients(
@@ -845,10 +873,18 @@ def truncated_orbit_solution(
     coefficients: RealFourierCoefficients,
     more_modes: MoreModesComparison | None = None,
 ) -> PeriodicSolution:
-    """Return an orbit's Fourier series with the harmonics of a problem as a solution.
+    """Return a solution whose coefficients are an orbit's Fourier series, truncated.
 
-    ``coefficients`` are the orbit's, with at least these harmonics. ``more_modes``: the orbit's
-    motion with more modes, if known.
+    Parameters
+    ----------
+    problem : Problem
+        Problem of the orbit, with the number of harmonics H to keep.
+    orbit : PeriodicOrbit
+        Exact orbit.
+    coefficients : RealFourierCoefficients
+        Coefficients of the orbit's displacement, gap and force, with at least H harmonics.
+    more_modes : MoreModesComparison, optional
+        The orbit's motion with more modes, if known.
     """
     row_slice = slice(2 * problem.harmonics + 1)
     wave = problem.wave_of(
@@ -906,11 +942,21 @@ def _modal_truncation_errors(
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
-    The errors follow from the orbit with more modes, if that orbit is found. Otherwise harmonic
-    balance with 40 harmonics of the load frequency computes them, if ``balances_more_modes`` allows
-    it. If the predicted change is too large, or harmonic balance fails or is not allowed, they
-    follow from one Newton step. ``solution_with_harmonics`` returns the orbit's series with a given
-    number of harmonics.
+    If the orbit with more modes is known, the errors follow from it. If it is not known, and its
+    predicted change is too large for a search, they follow from one Newton step. In all other cases
+    harmonic balance with 40 harmonics of the load frequency computes them; if this fails, or is not
+    allowed, they follow from one Newton step.
+
+    Parameters
+    ----------
+    problem : Problem
+        Problem of the orbit.
+    solution_with_harmonics : callable
+        Returns the orbit's series as a solution with a given number of harmonics.
+    more_modes : MoreModesComparison or None
+        The orbit's motion with more modes, if known.
+    balances_more_modes : bool
+        Allow harmonic balance. It is always allowed if ``more_modes`` is None.
 
     Returns
     -------
@@ -947,8 +993,17 @@ def _solve_with_growing_harmonics(
 ) -> PeriodicSolution:
     """Double the harmonics until the error is small, and return the best solution.
 
-    ``solution`` has the first number of harmonics. The doubling ends at 500 harmonics, or if
-    Newton's method does not converge.
+    The best solution has the smallest total error. The doubling ends if
+    :func:`_has_enough_harmonics` is True, or if Newton's method does not converge.
+
+    Parameters
+    ----------
+    solver : Solver
+        Solver for the problem.
+    tolerance : float
+        Maximum total error.
+    solution : PeriodicSolution
+        Solution with the first number of harmonics.
     """
     best_solution = solution
     while solution.converged and not _has_enough_harmonics(solution, tolerance):

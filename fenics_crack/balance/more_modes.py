@@ -74,9 +74,9 @@ def more_modes_structure_of(wave: PeriodicMotion) -> ReducedStructure | None:
 def _neglected_to_kept_dissipation_ratio(wave: PeriodicMotion) -> float:
     """Return the energy loss missing in truncated modes, divided by the loss in kept modes.
 
-    Both are losses of the motion ``wave_with_fewer_modes`` in a period, by Rayleigh damping.
-    Truncated modes respond quasi-statically, without this loss. The ratio is 0 without Rayleigh
-    damping, and for a structure with mass in all coordinates.
+    Both are losses of the motion ``wave`` in a period. Truncated modes respond quasi-statically,
+    without loss, although Rayleigh damping would cause a loss. The ratio increases the reference's
+    damping. It is 0 without Rayleigh damping, and for a structure with mass in all coordinates.
     """
     massless_structure = as_massless_structure_or_none(wave.structure)
     if massless_structure is None or not isinstance(
@@ -347,7 +347,8 @@ class MoreModesComparison:
 def are_crack_faces_still(samples: Samples) -> bool:
     """Return True if the load presses the crack faces together: gaps move only by rounding.
 
-    Gaps plus clearance are then at most 1e-12 times the gaps due to the modes with mass alone.
+    ``samples`` has states and gaps over a period. Gaps plus clearance are then at most 1e-12 times
+    the gaps due to the modes with mass alone.
     """
     gaps_by_modes_with_mass = (
         samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.gaps_by_mode

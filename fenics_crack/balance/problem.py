@@ -168,16 +168,16 @@ class Problem:
     harmonics : int
         H, the highest multiple of ``omega / subharmonic`` kept; default: 5.
     samples : int, optional
-        Instants per period of the response at which the contact force is evaluated. Default: exact
-        integrals, without instants, for a piecewise linear law. With friction: 32 H, at least 128.
-        Other laws: 1024, or the next power of two from 32 H on; for uncoupled pairs, as many in
-        each load period.
+        Instants per period of the response at which the contact force is evaluated. Default for a
+        piecewise linear law: exact integrals, without instants. Default with friction: 32 H, at
+        least 128. Default for other laws: 1024, or the next power of two from 32 H on; for
+        uncoupled pairs, as many in each load period.
     subharmonic : int
         The response has this many times the load's period.
     static_above : float, optional
-        Frequency [rad/s]. Modes of higher frequencies respond quasi-statically to the harmonics of
-        the contact force above H, if the problem has a :attr:`residual_compliance`; else no mode
-        does. Default: 2 H times the response's frequency.
+        Frequency [rad/s] above which modes respond quasi-statically to the contact force's
+        harmonics above H. Only used if the problem has a :attr:`residual_compliance`. Default: 2 H
+        times the response's frequency.
 
     Raises
     ------
@@ -218,10 +218,10 @@ class Problem:
         return least_harmonics(self.structure, self.subharmonic)
 
     def response_harmonics(self, load_harmonics: int) -> int:
-        """Return the number of response harmonics for a number of load harmonics.
+        """Return the number of response harmonics up to a load harmonic.
 
-        The result is ``subharmonic`` times ``load_harmonics``, and at least the load's highest
-        harmonic.
+        The load has ``subharmonic`` times the response's frequency. So the result is
+        ``subharmonic`` times ``load_harmonics``, but at least the load's highest harmonic.
         """
         return max(load_harmonics * self.subharmonic, self.least_harmonics)
 
@@ -249,22 +249,27 @@ class Problem:
     def static_cutoff(self) -> float | None:
         """Frequency above which modes are quasi-static [rad/s], or None.
 
-        The value for a solution's ``static_above``. None without a residual flexibility: no mode is
+        Used as ``static_above`` of a solution. None: without a residual flexibility, no mode is
         quasi-static.
         """
         return None if self.residual_compliance is None else self.quasi_static_above
 
     @cached_property
     def structure_with_pair_per_row(self) -> Structure:
-        """Structure with a pair for each contact row: with friction or layers two for each pair.
+        """Structure with a contact pair for each scalar contact force.
 
-        Otherwise it is the structure itself.
+        With friction, each tangential gap is an additional pair. Under the layered law every pair
+        comes twice. Under other laws the result is the structure itself.
         """
         return add_pair_for_each_contact_force(self.contact, self.structure)
 
     @cached_property
     def row_law(self) -> ContactLaw:
-        """Law for the contact rows, the pairs of :attr:`structure_with_pair_per_row`."""
+        """Law for the pairs of :attr:`structure_with_pair_per_row`.
+
+        Under the layered law every pair comes twice. The result is then a penalty law with a
+        stiffness for each copy. Otherwise the problem's own law.
+        """
         return law_of_rows(self.contact, self.structure.n_pairs)
 
     @property
@@ -281,9 +286,10 @@ class Problem:
 
         - The law has friction.
         - The crack faces have no mass.
-        - The faces have mass, and the law is rigid without ``weight``.
-        - The faces have mass under a penalty law, and ``static_above`` is given.
-        - The faces have mass under a penalty law of stiffness k, and k R > 100.
+        - The faces have mass, the law is rigid without ``weight``, and R is regular.
+        - The faces have mass under a penalty law, ``static_above`` is given, and R is not zero.
+        - The faces have mass under a penalty law of stiffness k, and k R > 100 for a diagonal entry
+          of R.
 
         InputError: R is singular under a rigid law of crack faces without mass.
         """
@@ -364,8 +370,9 @@ class Problem:
     def with_projection_weight(self, compliance_model: ComplianceModel) -> Problem:
         """Return the problem with a default weight if its rigid law is solved pair by pair.
 
-        The weight [N/m] stands for a contact stiffness (``default_projection_weight``). Other
-        problems, and given weights, are returned unchanged.
+        The weight [N/m] stands for a contact stiffness. It follows from the static compliance in
+        ``compliance_model`` (:func:`default_projection_weight`). Other problems, and problems with
+        a given weight, are returned unchanged.
         """
         contact_law = self.contact
         if not (
@@ -398,9 +405,11 @@ class Problem:
         Parameters
         ----------
         displacement : (2H+1, n_local) [m]
+            Displacement coefficients for this rank's dofs.
         gap, force : (2H+1, n_columns) [m], [N]
-            A column for each pair; with friction, tangential columns follow the normal ones. Under
-            the layered law, a column for each pair, or for each of the two rows of a pair.
+            Gap and contact force coefficients, a column for each pair. With friction, tangential
+            columns follow the normal ones. Under the layered law, with two springs for each pair,
+            a column for each spring is also possible: first springs, then second springs.
         """
         n_pairs = self.structure.n_pairs
         gap, force = merge_layers_of_pairs(self.contact, n_pairs, gap, force)
@@ -595,8 +604,8 @@ class Search:
     def append_attempt_text(self, start_name: str, iterations_before: int) -> None:
         """Record in words whether an attempt converged, and in how many iterations.
 
-        ``start_name`` names the attempt. ``iterations_before`` is the search's number of iterations
-        when the attempt began.
+        ``start_name`` is the attempt's name in the text. ``iterations_before`` is the search's
+        number of iterations when the attempt began.
         """
         outcome_text = "converged" if self.has_converged else "failed"
         self.attempt_texts.append(
@@ -608,9 +617,19 @@ class Search:
     ) -> Linearisation:
         """Take full Newton steps from a guess; return the equations at the last point.
 
-        ``guess`` (2H+1, n_rows) [m] has slow gap coefficients. If ``snes`` is None, the C kernel
-        takes the steps. If these steps fail, the point at the guess is returned. The attribute
-        ``has_converged`` is set.
+        The attribute ``has_converged`` is set.
+
+        Parameters
+        ----------
+        snes : SystemSnes or None
+            Solver by PETSc for the steps. None: the C kernel takes them.
+        guess : (2H+1, n_rows) [m]
+            Slow gap coefficients at which the steps begin.
+
+        Returns
+        -------
+        Linearisation
+            Equations at the last point. If the kernel's steps fail, equations at the guess.
         """
         if snes is not None:
             point, self.has_converged, n_iterations = snes.solve_and_linearise(
@@ -635,6 +654,8 @@ class Search:
     ) -> Linearisation | None:
         """Take full Newton steps in the C kernel; return the solution or None.
 
+        The equations are F(x) = 0, with slow gap coefficients x.
+
         Parameters
         ----------
         system : ContactSystem
@@ -642,7 +663,8 @@ class Search:
         guess : (2H+1, n_rows) [m]
             Slow gap coefficients at which the steps begin.
         tolerance : float
-            Maximum |F| / |x|, if larger than the tolerance of the search.
+            Maximum relative residual |F| / |x|. A smaller value than the search's tolerance is
+            replaced by the latter.
         parameter : float
             Path parameter of the system: 1 is the law itself, 0 very soft contact.
         """
@@ -819,11 +841,11 @@ class Search:
         )
 
     def _yield_guesses_without_friction(self) -> Iterator[np.ndarray]:
-        """Yield the gaps under the contact forces of the solution without friction.
+        """Search the solution without friction, and yield the gaps under its contact forces.
 
-        Above 40 harmonics of the load frequency, an exact orbit with friction is searched from this
-        solution. If found, its gaps are yielded first. Nothing is yielded if the solution is not
-        found. Guesses are slow gap coefficients (2H+1, n_rows) [m].
+        Above 40 harmonics of the load frequency, an exact orbit with friction is first searched
+        from this solution. If found, the orbit's gaps are yielded first. Nothing is yielded if the
+        solution is not found. Guesses are slow gap coefficients (2H+1, n_rows) [m].
         """
         problem_with_friction, system_with_friction = self.problem, self.system
         frictionless_problem = replace(
@@ -953,9 +975,9 @@ def halved_harmonic_counts(harmonics: int, min_harmonics: int) -> list[int]:
 def _allowed_search_iterations(system: ContactSystem) -> float:
     """Return the maximum number of Newton iterations in a search.
 
-    In the kernel the maximum is 7500 with 300 unknowns. It falls with the square of their number
-    above 200, and is constant below. In Python it is at most 1500. With friction it is
-    ``MAX_FRICTION_SEARCH_WORK`` divided by the product of instants and unknowns.
+    In the kernel the maximum is 7500 (300 / n)^2, with the number of unknowns n, at least 200. In
+    Python it is at most 1500. With friction it is ``MAX_FRICTION_SEARCH_WORK`` divided by the
+    product of instants and unknowns.
     """
     integrals = system.integrals
     if isinstance(integrals, FrictionIntegrals):

@@ -45,9 +45,9 @@ class Stability(Described):
 
     Attributes
     ----------
-    multipliers : (2n,) complex
-        Largest modulus first. For an irregular motion: the growth of a small disturbance in a
-        period, and nan.
+    multipliers : (n,) complex
+        Factors by which small disturbances grow in a period; largest modulus first. For an
+        irregular motion: the growth of a small disturbance in a period, then nan.
     verdict : "stable", "unstable", "irregular" or "undecided"
         Stability of the nearest exact orbit; for a smooth law, of the linear flow along the
         solution. Irregular: no orbit was found, and a small disturbance of the exact motion that
@@ -58,16 +58,17 @@ class Stability(Described):
     refined : bool
         True if the multipliers belong to an exact orbit.
     distance : float
-        Root mean square distance between the gaps of solution and exact orbit: the actual error. It
-        is divided by the orbit's gaps plus clearance. In this divisor the mean over time is limited
-        to the vibration. nan: no orbit.
+        Relative distance between the gaps of solution and exact orbit: the actual error; nan
+        without an orbit. The root mean square of the gap difference is divided by that of the
+        orbit's gaps plus clearance. In the divisor a mean larger than the vibration counts only as
+        much as the vibration.
     reason : str
         Why the verdict is "undecided" or "irregular"; else "".
     from_rest : str
         Outcome of the motion from rest, if it was integrated and does not settle to the solution;
         else "".
     rest_amplitude : float [m]
-        Amplitude of the watched dof in the motion to which the motion from rest settles: half the
+        Amplitude of the watched dof after the motion from rest has settled: half the
         peak-to-peak displacement over the whole period. nan: the motion does not settle.
     """
 
@@ -84,7 +85,9 @@ class Stability(Described):
         """Return the entries of a table row by name.
 
         "verdict"; "modulus", "real" and "imaginary" of the multiplier with the largest modulus;
-        then "uncertainty", "refined", "distance", "reason", "from_rest" and "rest_amplitude".
+        then "uncertainty", "refined", "distance", "reason", "from_rest" and "rest_amplitude". The
+        last two belong to a motion from rest: a text if it does not settle to the solution, and the
+        amplitude [m] after settling.
         """
         leading_multiplier = complex(self.multipliers[0])
         columns_by_name = {"verdict": self.verdict, "modulus": abs(leading_multiplier)}
@@ -212,7 +215,7 @@ class PeriodicSolution(PeriodicMotion, ObservedMotion, Described):
     def yield_records_of_row_products(
         self, rows: np.ndarray, instants: int | None = None
     ) -> Iterator[MotionRecord]:
-        """Yield the motion's :class:`Record`, at equally spaced instants of the period.
+        """Yield the motion's :class:`MotionRecord`, at equally spaced instants of the period.
 
         Parameters
         ----------
@@ -424,7 +427,10 @@ def solution_of(
 
 @dataclass(frozen=True)
 class Solver:
-    """Solver for a harmonic-balance problem with gaps as unknowns, with its options."""
+    """Solver for a harmonic-balance problem, with the coefficients of gaps as unknowns.
+
+    Two options can be set: the maximum residual, and whether a failure raises an error.
+    """
 
     problem: Problem
     residual_tolerance: float = 1e-10

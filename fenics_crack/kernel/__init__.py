@@ -50,9 +50,10 @@ def _bind_lapack() -> None:
 
 
 def require_shape(array: Any, *shape: int, kind: type = float) -> np.ndarray:
-    """Check an array's shape; return it C-contiguous, with entries of type ``kind``.
+    """Check an array's shape; return the array C-contiguous, with type ``kind``.
 
-    A copy is made only if necessary. The kernel does not check shapes.
+    ``shape`` has the length of each axis. The kernel does not check shapes. A copy is made
+    only if necessary.
 
     Raises
     ------
@@ -66,12 +67,12 @@ def require_shape(array: Any, *shape: int, kind: type = float) -> np.ndarray:
 
 
 def pointer(array: np.ndarray) -> Any:
-    """Return the address of a C-contiguous array's entries for functions of the kernel.
+    """Return the address of a C-contiguous array's entries for the kernel.
 
     Raises
     ------
     ValueError
-        The array is not contiguous, or its dtype is not in ``C_ARRAY_TYPE_BY_DTYPE``.
+        The array is not contiguous, or the kernel has no C type for its dtype.
     """
     array_type = C_ARRAY_TYPE_BY_DTYPE.get(array.dtype)
     if array_type is None:
@@ -81,9 +82,10 @@ def pointer(array: np.ndarray) -> Any:
 
 
 def attach_destructor(allocation: Any, destructor: Any) -> Any:
-    """Let Python free a kernel object by ``destructor`` with the last reference.
+    """Let Python free a kernel object when the last reference ends.
 
-    ``allocation`` is the C pointer to the object, ``destructor`` a kernel function.
+    ``allocation`` is the C pointer to the object, ``destructor`` the kernel function to free the
+    object. The result is the pointer with this behaviour.
 
     Raises
     ------

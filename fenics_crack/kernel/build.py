@@ -59,8 +59,13 @@ SANITIZER_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", 
 def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
     """Return cffi's builder for the extension module ``_kernel``.
 
-    Paths of the C files are relative to ``folder`` if ``folder`` contains the kernel's folder,
-    otherwise absolute. ``sanitize`` adds checks of addresses and undefined behaviour.
+    Parameters
+    ----------
+    folder : Path
+        Start folder for relative paths to the C files. Paths are absolute if the kernel's folder
+        is outside.
+    sanitize : bool
+        True: add checks of addresses and undefined behaviour.
     """
     headers = sort_headers(sorted(KERNEL_FOLDER.glob("*.h")))
     source_paths = sorted(KERNEL_FOLDER.glob("*.c"))
@@ -86,9 +91,9 @@ def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
 
 
 def sort_headers(headers: list[Path]) -> list[Path]:
-    """Sort C headers: each comes after all headers included by ``#include``.
+    """Sort C headers: included headers come first.
 
-    Included headers of the kernel's folder are added.
+    Included headers of the kernel's folder are added to ``headers``.
     """
     sorted_headers: list[Path] = []
     for header in headers:
@@ -101,7 +106,10 @@ def sort_headers(headers: list[Path]) -> list[Path]:
 
 
 def build(target_folder: Path, *, sanitize: bool = False) -> None:
-    """Compile the C files into the module ``_kernel.abi3.so`` in ``target_folder``."""
+    """Compile the C files into the module ``_kernel.abi3.so`` in ``target_folder``.
+
+    ``sanitize`` adds checks of addresses and undefined behaviour.
+    """
     with tempfile.TemporaryDirectory() as scratch_folder:
         builder = make_builder(Path(scratch_folder), sanitize=sanitize)
         compiled_path = builder.compile(tmpdir=scratch_folder)
