@@ -60,21 +60,22 @@ def check_cell_count(
 ) -> None:
     """Raise InputError if a mesh would have too many cells for gmsh or the memory.
 
-    The limits are 5e6 cells, and the machine's memory for the mesh, the matrices, or a factored
-    stiffness.
+    gmsh is allowed 5e6 cells. The mesh with the matrices must fit into the machine's memory, and so
+    must the factored stiffness.
 
     Parameters
     ----------
     scene : Scene
         Scene to mesh.
     mesh_key : str
-        Key in the table ``[mesh]`` named in the error, as "size".
+        Key in the scene's table ``[mesh]`` to name in the error, as "size".
     n_cells : float
         Estimated number of cells.
     dofs_per_cell : int
         Average number of dofs per cell.
     size_note : str
-        Text to add to the message, as the shortest element's length.
+        Text for the error message, behind "fewer cells". Used to state the shortest element's
+        length.
     """
     n_dofs, max_n_cells_for_gmsh = (
         dofs_per_cell * n_cells,
@@ -199,10 +200,14 @@ def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
 
 
 def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
-    """Draw a plate's blocks in gmsh, and set the elements on curves and surfaces.
+    """Draw a plate's blocks in gmsh, and set the number of elements on all block sides.
 
-    ``unit_scene`` is the scene in gmsh's unit of length. Returns gmsh's group tag for each side's
-    name.
+    ``scene`` has lengths in metres, ``unit_scene`` the same lengths in gmsh's unit.
+
+    Returns
+    -------
+    dict of str to (int,)
+        gmsh's group tag for each named side of the plate, crack face or rim side.
     """
     _check_plate_cell_count(scene)
     column_intervals, row_intervals, slits = find_plate_columns_rows_and_slits(unit_scene)
@@ -338,7 +343,15 @@ def _find_doubled_corner_indices(slits: list[Slit], n_columns: int) -> list[tupl
     """Return the block corners on cracks, except at tips, as (column, row) of the corner.
 
     At these corners each crack face has a separate point. An end of a crack at the plate's edge is
-    a mouth, not a tip. ``slits`` are the cracks among the blocks.
+    a mouth, not a tip.
+
+    Parameters
+    ----------
+    slits : list of (row, columns)
+        For each crack: index of the block row above the crack, and range of the block columns along
+        the crack.
+    n_columns : int
+        Number of block columns in the plate.
     """
     return [
         (i, row)
@@ -361,17 +374,18 @@ def _add_surfaces(
     vertical_by_ij: Curves,
     upper_by_ij: Curves,
 ) -> list[int]:
-    """Add the surface of each block to gmsh, and return the tags, column by column.
+    """Add the surface of each block to gmsh, and return gmsh's tags, column by column.
 
     Parameters
     ----------
     n_columns, n_rows : int
-        Number of blocks in each direction.
+        Number of blocks across and along the plate.
     horizontal_by_ij, vertical_by_ij : Curves
         gmsh's tags of the blocks' lower sides and left sides, by (column, row). The plate's upper
         and right sides are included, with the index after the last block.
     upper_by_ij : Curves
-        gmsh's tags of the upper crack faces: lower sides of the blocks above a crack.
+        gmsh's tags of the upper crack faces, by (column, row) of the block above. They replace the
+        lower sides of these blocks.
     """
     surfaces = []
     for i in range(n_columns):
@@ -392,8 +406,9 @@ def _add_surfaces(
 def _add_groups_and_find_tags(entities_by_name: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
     """Make gmsh's physical groups, and return each group's tag by name.
 
-    ``entities_by_name`` has (dimension, tags of entities) by name. Names without entities get no
-    group.
+    A physical group is a named set of gmsh's points, curves or surfaces. ``entities_by_name`` has,
+    for each name, the dimension (0, 1 or 2) and the tags of the group's members. A name without
+    members gets no group and no tag.
     """
     tag_by_name = {
         name: group_tag
@@ -408,9 +423,10 @@ def _add_groups_and_find_tags(entities_by_name: dict[str, tuple[int, list[int]]]
 
 
 def _set_cell_kind(scene: Scene, surface_tags: list[int]) -> None:
-    """Set the cells on gmsh's surfaces, from the scene's mesh settings.
+    """Choose triangles or quadrilaterals for gmsh's surfaces ``surface_tags``.
 
-    Blocks get structured triangles or quadrilaterals. Graded triangles are unstructured.
+    The scene's ``mesh.cells`` and ``mesh.layout`` decide. The cells of a grid, and all
+    quadrilaterals, lie in regular rows. Triangles with graded lengths have no rows.
     """
     if scene.has_graded_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
         gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
@@ -425,7 +441,23 @@ def _set_cell_kind(scene: Scene, surface_tags: list[int]) -> None:
 def _add_curve(
     start_tag: int, end_tag: int, interval: ElementInterval, center: int | None = None
 ) -> int:
-    """Add a line, or an arc around ``center``, with the interval's elements; return the tag."""
+    """Add a line or an arc between two points to gmsh, and divide it into elements.
+
+    Parameters
+    ----------
+    start_tag, end_tag : int
+        gmsh's tags of the end points.
+    interval : ElementInterval
+        Number of elements, and length ratio of successive elements. With 0 elements the curve stays
+        undivided.
+    center : int or None
+        gmsh's tag of the arc's center; None for a line.
+
+    Returns
+    -------
+    int
+        gmsh's tag of the curve.
+    """
     geo = gmsh.model.geo
     point_tags = (start_tag, end_tag) if center is None else (start_tag, center, end_tag)
     curve_tag: int = (geo.addLine if center is None else geo.addCircleArc)(*point_tags)
@@ -502,10 +534,11 @@ class DiskRim:
     def draw_with_blade(
         self, width: float, height: float, thickness: float
     ) -> list[tuple[int, int]]:
-        """Draw a solid sector, rim and blade in a single volume; return gmsh's (dimension, tag).
+        """Draw a sector of a solid disk, rim and blade in a single volume.
 
-        ``width``, ``height`` and ``thickness`` are the blade's sides. The rim is as thick as the
-        blade is wide.
+        ``width``, ``height`` and ``thickness`` are the blade's sides in gmsh's unit of length. The
+        rim is as thick as the blade is wide. Returns a list with gmsh's (dimension, tag) of the
+        volume.
         """
         occ = gmsh.model.occ
         polar_corners = [
@@ -537,11 +570,11 @@ class DiskRim:
         return list(occ.fuse(rim_dim_tags, blade_dim_tags)[0])
 
     def blade_corner_gradings(self) -> list[PointGrading]:
-        """Return the grading of element lengths around the corners between blade and rim.
+        """Return the element length around the two corners between blade and rim.
 
-        The stress is infinite at the corners. The element length at a corner is ``mesh.size`` / 32.
-        The length grows linearly with the distance, by ``mesh.size`` over a distance of the blade's
-        width.
+        The stress is infinite at the corners, so the elements are short there. The length is
+        ``mesh.size`` / 32 at a corner. It grows linearly with the distance d from the corner, by
+        ``mesh.size`` d / (blade width).
         """
         blade_width, element_size = self.scene.geometry.sides[0], self.scene.mesh.given("size")
         return [
@@ -598,10 +631,18 @@ class DiskRim:
         foot_columns: list[ElementInterval],
         surfaces: list[int],
     ) -> dict[str, tuple[int, list[int]]]:
-        """Draw the rim in blocks below a plate's foot, and append the tags to ``surfaces``.
+        """Draw the rim of a plane disk's sector, in blocks from the inner to the outer circle.
 
-        ``foot_points``, ``foot_curves`` and ``foot_columns`` are gmsh's points and curves and the
-        block columns along the foot, from left to right.
+        The blade's foot is the part of the outer circle below the blade.
+
+        Parameters
+        ----------
+        foot_points, foot_curves : list of int
+            gmsh's tags of the points and curves along the foot, from left to right.
+        foot_columns : list of ElementInterval
+            Block columns of the blade, from left to right.
+        surfaces : list of int
+            gmsh's tags of surfaces. The tags of the rim's blocks are appended.
 
         Returns
         -------

@@ -131,10 +131,23 @@ def _quiet_compiler_context() -> Iterator[None]:
 
 @_quiet_compiler_context()
 def _compile(comm: MPI.Comm, form: Any, make_object: Callable[..., Any], *arguments: Any) -> Any:
-    """Create a DOLFINx object that compiles ``form``, a form or element (collective).
+    """Make a DOLFINx object whose constructor compiles C code (collective).
 
-    ``make_object(*arguments, jit_options=...)`` is the constructor. A compiled form is loaded from
-    the cache if possible.
+    The compiled code is loaded from the cache if possible.
+
+    Parameters
+    ----------
+    comm : MPI.Comm
+        Ranks that make the object together.
+    form : ufl form or element
+        Form or element to compile. Used to find the code in the cache.
+    make_object : callable
+        Constructor, called as ``make_object(*arguments, jit_options=...)``.
+
+    Returns
+    -------
+    Any
+        Result of the constructor.
     """
     cache_key = ffcx.naming.compute_signature(
         [form], str((_OPTIONS, PETSc.ScalarType, sys.implementation))

@@ -103,8 +103,9 @@ class CrackPath:
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Return a point below and a point above a given point on the crack [m].
 
-        Both results are 1e-3 of the crack's length from the given point. With 1e-6 of the length as
-        tolerance, the result is None if the given point is off the crack or at a tip.
+        Used to propose a point on either crack face in an error message. Both results lie 1e-3 of
+        the crack's length away. The result is None if the given point is at a tip, or farther from
+        the crack than 1e-6 of the length.
         """
         (distance_to_crack,), (arc_length,) = self.find_distances_and_positions(np.array([point]))
         path_length = float(self.corner_arc_lengths[-1])
@@ -185,8 +186,9 @@ class CrackSurface:
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Return a point below and a point above a given point on the crack [m].
 
-        Both results are 1e-3 of the crack's size from the given point. With 1e-6 of the size as
-        tolerance, the result is None if the given point is off the crack or on a front.
+        Used to propose a point on either crack face in an error message. Both results lie 1e-3 of
+        the crack's size away. The result is None if the given point is on a front, or farther from
+        the crack than 1e-6 of the size.
         """
         from fenics_crack.fem.solid_mesher import point_to_triangle_distances  # it imports gmsh
 
@@ -454,10 +456,18 @@ def find_crack_paths(
 def _check_cracks_do_not_branch(
     edges: np.ndarray, tip_nodes: np.ndarray, positions: np.ndarray
 ) -> None:
-    """Raise InputError if a crack branches: more than two edges of a face meet at a node.
+    """Raise InputError if more than two edges of a crack face meet at a node.
 
-    ``edges`` (n, 2) are the nodes of each edge, ``positions`` (n_nodes, 2) [m] of all nodes.
-    ``tip_nodes``, at which both faces meet, are allowed.
+    The crack would branch or cross another crack there.
+
+    Parameters
+    ----------
+    edges : (n, 2) int
+        Nodes of each edge on one face of all cracks.
+    tip_nodes : (m,) int
+        Nodes shared by both faces. At these nodes any number of edges may meet.
+    positions : (n_nodes, 2) [m]
+        Positions of all nodes in the mesh.
     """
     edge_nodes, n_edges_at_nodes = np.unique(edges, return_counts=True)
     for edge_node, n_node_edges in zip(edge_nodes, n_edges_at_nodes, strict=True):
@@ -742,9 +752,10 @@ def split_cracks(
 
 
 def check_mesh(is_mesh_valid: object, problem_text: str, requirement: str) -> None:
-    """Raise InputError for the key "mesh" unless a condition holds.
+    """Raise InputError for the key "mesh" if ``is_mesh_valid`` is false.
 
-    ``problem_text`` says what the mesh has, ``requirement`` what is allowed.
+    The error's texts are ``problem_text``, the fault in the mesh, and ``requirement``, the allowed
+    meshes.
     """
     if not is_mesh_valid:
         raise InputError("mesh", problem_text, requirement)
@@ -757,10 +768,25 @@ def _edges_of_polygons(polygons: np.ndarray) -> np.ndarray:
 
 
 def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) -> np.ndarray:
-    """Return the edges on crack fronts (n, 2); for a plate, the nodes at tips (n, 1).
+    """Return the edges on crack fronts of a solid, or the nodes at crack tips of a plate.
 
-    An edge is on a front if a single crack facet has it and no boundary facet. Likewise a node is
-    a tip. InputError if more than two crack facets meet at an edge or node.
+    An edge is on a front if a single crack facet and no facet of the mesh's boundary has the edge.
+    A tip is found in the same way from nodes.
+
+    Parameters
+    ----------
+    crack_facets, boundary_facets : (n, k), (m, k) int
+        Corner nodes of the facets on cracks, and of the facets on the mesh's boundary.
+
+    Returns
+    -------
+    (n_edges, 2) or (n_tips, 1) int
+        Nodes of each edge in a solid, or node of each tip in a plate.
+
+    Raises
+    ------
+    InputError
+        More than two crack facets meet at an edge or node.
     """
     n_corners = crack_facets.shape[1]
     edges_or_nodes = (
@@ -785,18 +811,20 @@ def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) 
 def _label_corner_stars(
     cells: Cells, is_passable: np.ndarray, is_split_node: np.ndarray
 ) -> np.ndarray:
-    """Label the corners of all cells, such that equal labels stay a single node.
+    """Label the corners of all cells; corners with equal labels keep a common node.
 
-    At a node to be doubled, two cells' corners have the same label if a chain of cells connects
-    both cells. All cells in the chain have the node. Neighbours in the chain share a facet with the
-    node, off the cracks. At all other nodes every corner has a different label.
+    Used to split a mesh along cracks. At a node to be doubled, cells on opposite sides of the crack
+    get different labels. Two cells get the same label if a chain of cells around the node connects
+    them. Neighbours in the chain share a facet that has the node and is not on a crack. At all
+    other nodes every corner has a different label.
 
     Parameters
     ----------
     cells : Cells
         Cells of the mesh.
     is_passable : (n_facets - 1,) bool
-        True for a facet between two cells and off the cracks, in the order of the sorted facets.
+        True for a facet between two cells that is not on a crack. The order is that of
+        ``cells.sorted_facets_and_owners``.
     is_split_node : (n_nodes,) bool
         True for nodes to be doubled.
 

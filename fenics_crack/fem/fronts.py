@@ -205,27 +205,31 @@ class Front:
 
     @cached_property
     def straight_domain_radius(self) -> float:
-        """Return the radius [m] of the domain around a straight front for stress intensities.
+        """Return the radius [m] of the integration domain, without the limit by curvature.
 
-        The radius is 2 of the longest front elements, at most ``allowed_domain_radius``.
+        Stress intensities are integrals over a domain around the front. The radius is twice the
+        length of the front's longest element, at most ``allowed_domain_radius``.
         """
         max_edge_length = np.linalg.norm(np.diff(self.node_positions, axis=0), axis=1).max()
         return float(min(RADIUS_IN_ELEMENTS * max_edge_length, self.allowed_domain_radius))
 
     def is_limited_by_curvature(self, curvature: np.ndarray) -> np.ndarray:
-        """Return True if a front's curvature [1/m] limits the integration domain: same shape.
+        """Return True where the front's curvature limits the integration domain.
 
         Stress intensities are integrals over a domain around the front. The domain's radius is at
-        most 0.6 times the radius of curvature.
+        most 0.6 times the front's radius of curvature. ``curvature`` [1/m] may have any shape; the
+        result has the same shape.
         """
         return np.asarray(
             np.abs(curvature) * self.straight_domain_radius > MAX_RADIUS_TO_CURVATURE_RADIUS
         )
 
     def domain_radius(self, curvature: np.ndarray) -> np.ndarray:
-        """Return the integration domain's radius [m] for front curvatures [1/m]: same shape.
+        """Return the radius [m] of the integration domain at points with given front curvatures.
 
-        The radius is ``straight_domain_radius``, at most 0.6 of the radius of curvature.
+        Stress intensities are integrals over this domain around the front. The radius is the
+        smaller of ``straight_domain_radius`` and 0.6 times the radius of curvature. ``curvature``
+        [1/m] may have any shape; the result has the same shape.
         """
         is_limited = self.is_limited_by_curvature(curvature)
         return np.where(
@@ -236,9 +240,11 @@ class Front:
 
     @cached_property
     def _sample_parameters_and_tree(self) -> tuple[np.ndarray, cKDTree]:
-        """Return sample points on the curve, eight for each node.
+        """Return sample points on the front's curve c(t), eight for each node of the front.
 
-        The results are the parameters t (n,), and a search tree with the positions.
+        Used to start the search for the nearest front point. The first result has the samples'
+        curve parameters t (n,). The second result is a search tree (cKDTree) with the samples'
+        positions [m].
         """
         t = np.interp(
             np.linspace(0, len(self.node_parameters) - 1, 8 * len(self.node_parameters)),
