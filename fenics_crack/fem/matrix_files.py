@@ -85,7 +85,24 @@ def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Com
 def _make_structure(
     scene: Scene, table: StructureTable, damping_rule: DampingRule | None, comm: MPI.Comm
 ) -> Structure:
-    """Make a structure from the files named in ``table`` (collective)."""
+    """Make a structure from the matrix files named in a scene's table (collective).
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with excitation and contact.
+    table : StructureTable
+        Table ``[structure]`` with the file names.
+    damping_rule : DampingRule or None
+        Modal or Rayleigh damping, used unless the table names a damping file.
+    comm : MPI.Comm
+        Ranks that share the matrix rows.
+
+    Returns
+    -------
+    Structure
+        Structure with contact pairs; with nodes if the table names a model file.
+    """
     labelled_matrix_by_name, gaps_and_forces_by_name, model = call_on_each_rank(
         comm, lambda: _read_matrices_columns_and_model(table)
     )
@@ -276,10 +293,27 @@ def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
 def _own_nodes(
     model: ModelFileMesh, node_dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm
 ) -> Nodes:
-    """Return the nodes of this rank's rows ``start`` to ``stop``, with cells for drawing.
+    """Return the nodes whose matrix rows this rank has, and the cells for drawing.
 
-    Rank 0 also has all cells, and cell nodes without dofs. Cells are kept under two conditions. All
-    cells have the same kind, but not wedges. And every matrix row is a model node's translation.
+    Rank 0 also gets all cells, and the nodes in cells without rows. Cells are left out unless three
+    conditions hold: all have the same kind, they are not wedges, and each matrix row is a node's
+    translation.
+
+    Parameters
+    ----------
+    model : ModelFileMesh
+        Nodes and cells from the model file.
+    node_dofs : (n_nodes, 3) int
+        Matrix row of each model node along x, y and z; -1 without a row.
+    start, stop : int
+        This rank's rows: ``start`` to ``stop`` - 1.
+    comm : MPI.Comm
+        Ranks that share the rows.
+
+    Returns
+    -------
+    Nodes
+        Positions and rows of this rank's nodes. Cells refer to node numbers counted over all ranks.
     """
     are_all_rows_translations = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(
         stop - start
@@ -313,10 +347,21 @@ def _own_nodes(
 
 
 def _read_number_or_pair_values(name: str, number_or_path: float | str, n_pairs: int) -> Any:
-    """Return a contact setting: a number, or a value per pair read from a file.
+    """Return a setting of the contact pairs: a number, or a value per pair from a file.
 
-    A file gives an array (n_pairs,). Without pairs a file is not read, and the result is 0.
-    ``name`` is the key for errors.
+    Parameters
+    ----------
+    name : str
+        Key of the setting, for errors: "clearance" or "areas".
+    number_or_path : float or str
+        The number, or the path of a file with a value per pair.
+    n_pairs : int
+        Number of contact pairs. With 0 the file is not read.
+
+    Returns
+    -------
+    float or (n_pairs,)
+        The given number, or the values from the file. 0 for a file without pairs.
     """
     if not isinstance(number_or_path, str):
         return number_or_path
@@ -330,8 +375,9 @@ def _read_number_or_pair_values(name: str, number_or_path: float | str, n_pairs:
 def table_pair_upper_bound(table: StructureTable) -> int:
     """Return an upper bound for the number of contact pairs in a table ``[structure]``.
 
-    The bound is the gap file's number of columns, else the number of coincident node pairs in the
-    model. The result is 0 if the table has neither, or the file cannot be read.
+    The bound is the number of columns in the gap file. Without a gap file, count the pairs of
+    coincident nodes in the model file. Without both files, or if the file cannot be read, the
+    result is 0.
     """
     path = table.gap or table.model
     if path is None:
