@@ -159,9 +159,9 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     Returns
     -------
     NamedParts
-        gmsh's group tags of the named sides, and no named points.
+        gmsh's group tags for the named sides, and no named points.
     Cracks
-        Crack paths in the order of the scene.
+        Crack paths in the scene's order.
     """
     unit_scene, metres_per_unit = scale_scene_to_mesh_unit(scene)
     facet_tags_by_group = _draw_blocks(scene, unit_scene)
@@ -381,10 +381,10 @@ def _add_surfaces(
     n_columns, n_rows : int
         Number of blocks across and along the plate.
     horizontal_by_ij, vertical_by_ij : Curves
-        gmsh's tags of the blocks' lower sides and left sides, by (column, row). The plate's upper
+        gmsh's tags for the blocks' lower sides and left sides, by (column, row). The plate's upper
         and right sides are included, with the index after the last block.
     upper_by_ij : Curves
-        gmsh's tags of the upper crack faces, by (column, row) of the block above. They replace the
+        gmsh's tags for the upper crack faces, by (column, row) of the block above. They replace the
         lower sides of these blocks.
     """
     surfaces = []
@@ -446,17 +446,17 @@ def _add_curve(
     Parameters
     ----------
     start_tag, end_tag : int
-        gmsh's tags of the end points.
+        gmsh's tags for the end points.
     interval : ElementInterval
         Number of elements, and length ratio of successive elements. With 0 elements the curve stays
         undivided.
     center : int or None
-        gmsh's tag of the arc's center; None for a line.
+        gmsh's tag for the arc's center; None for a line.
 
     Returns
     -------
     int
-        gmsh's tag of the curve.
+        gmsh's tag for the curve.
     """
     geo = gmsh.model.geo
     point_tags = (start_tag, end_tag) if center is None else (start_tag, center, end_tag)
@@ -638,16 +638,16 @@ class DiskRim:
         Parameters
         ----------
         foot_points, foot_curves : list of int
-            gmsh's tags of the points and curves along the foot, from left to right.
+            gmsh's tags for the points and curves along the foot, from left to right.
         foot_columns : list of ElementInterval
             Block columns of the blade, from left to right.
         surfaces : list of int
-            gmsh's tags of surfaces. The tags of the rim's blocks are appended.
+            gmsh's tags for surfaces. The tags of the rim's blocks are appended.
 
         Returns
         -------
         dict
-            Dimension and gmsh's tags of the curves, by side: "clamp", "rim_left", "rim_right".
+            Dimension and gmsh's tags for the curves, by side: "clamp", "rim_left", "rim_right".
         """
         element_size, geo = _element_length_off_cracks(self.scene), gmsh.model.geo
         arc_angle_beside_blade = self.half_angle - math.asin(

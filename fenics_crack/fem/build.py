@@ -86,9 +86,9 @@ def pair_crack_faces(
     Parameters
     ----------
     dofs : Dofs
-        Free dofs of the mesh.
+        The mesh's free dofs.
     t : ufl expression [m]
-        Thickness t of a plate, 1 for a solid.
+        A plate's thickness t, 1 for a solid.
     mouth_only : bool
         True to keep a single pair for each crack: at the mouth, or without a mouth in the middle.
     max_patches : int, optional
@@ -195,7 +195,7 @@ def _matrix_distributing_front_pressure(
     Parameters
     ----------
     dofs : Dofs
-        Dofs of the mesh.
+        The mesh's dofs.
     space : dolfinx function space
         Space of the functions psi_i.
     both_faces_measure : ufl.Measure
@@ -399,7 +399,7 @@ def _assemble_nodal_gap_columns(
     Parameters
     ----------
     dofs : Dofs
-        Dofs of the mesh.
+        The mesh's dofs.
     thickness : ufl expression [m]
         Thickness t of the plate.
     both_faces_measure : ufl.Measure
@@ -451,9 +451,9 @@ def _assemble_pressure_gap_columns(
     Parameters
     ----------
     dofs : Dofs
-        Dofs of the mesh.
+        The mesh's dofs.
     thickness : ufl expression [m]
-        Thickness t of a plate, 1 for a solid.
+        A plate's thickness t, 1 for a solid.
     both_faces_measure : ufl.Measure
         Measure ds for integrals over both crack faces.
 

@@ -135,7 +135,7 @@ class CrackSurface:
     front_chords : (m, 2, 3) [m]
         End points of element edges along the front. Empty if the crack separates two bodies.
     has_mouth : bool
-        True if the crack reaches the surface of the solid.
+        True if the crack reaches the solid's surface.
     """
 
     triangles: np.ndarray
@@ -410,7 +410,7 @@ def find_crack_paths(
     lower_edges, upper_edges : (n, 2) int
         Nodes of each edge on the lower and upper faces.
     positions : (n_nodes, 2) [m]
-        Positions of all nodes.
+        Node positions.
 
     Raises
     ------
@@ -467,7 +467,7 @@ def _check_cracks_do_not_branch(
     tip_nodes : (m,) int
         Nodes shared by both faces. At these nodes any number of edges may meet.
     positions : (n_nodes, 2) [m]
-        Positions of all nodes in the mesh.
+        Node positions.
     """
     edge_nodes, n_edges_at_nodes = np.unique(edges, return_counts=True)
     for edge_node, n_node_edges in zip(edge_nodes, n_edges_at_nodes, strict=True):
@@ -514,7 +514,7 @@ def find_crack_surfaces(
     lower_facets, upper_facets : (m, k), (m', k) int
         Corner nodes of the facets on each face. Both faces share only nodes on fronts.
     positions : (n_nodes, 3) [m]
-        Positions of all nodes.
+        Node positions.
     """
     polygon_edges, edge_facet_counts = np.unique(
         _edges_of_polygons(lower_facets), axis=0, return_counts=True
@@ -655,7 +655,7 @@ def split_cracks(
     crack_facets : (m, k) int
         Nodes of the facets of all cracks, corners first.
     positions : (n_nodes, d) [m]
-        Positions of all nodes.
+        Node positions.
 
     Returns
     -------
@@ -821,7 +821,7 @@ def _label_corner_stars(
     Parameters
     ----------
     cells : Cells
-        Cells of the mesh.
+        The mesh's cells.
     is_passable : (n_facets - 1,) bool
         True for a facet between two cells that is not on a crack. The order is that of
         ``cells.sorted_facets_and_owners``.

@@ -112,7 +112,7 @@ def assemble_rotation(
     scene : Scene
         Scene with a table ``[rotation]``.
     dofs : Dofs
-        Free dofs of the mesh.
+        The mesh's free dofs.
     structure_at_rest : Structure
         Structure without rotation.
     solve_static : callable, optional

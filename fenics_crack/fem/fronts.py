@@ -71,7 +71,7 @@ class Front:
     is_closed : bool
         True if the front has no ends.
     ends_at_surface : tuple of bool
-        True for each end at the surface of the solid. Other ends are corners of the front.
+        True for each end at the solid's surface. Other ends are corners of the front.
     allowed_domain_radius : float [m]
         Stress intensities are integrals over a domain around the front. Upper bound for the
         domain's radius: 0.8 times the distance from the clamp or another crack.
@@ -334,7 +334,7 @@ def _yield_smooth_front_parts(
     is_closed : bool
         True if the front has neither ends nor corners.
     ends_at_surface : tuple of bool
-        True for each end at the surface of the solid.
+        True for each end at the solid's surface.
     """
     triangle_corner_positions = crack.triangles.reshape(-1, 3)
     triangle_corner_tree = cKDTree(triangle_corner_positions)

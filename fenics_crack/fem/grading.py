@@ -196,7 +196,7 @@ def _intervals_with_equal_elements(
     side_length : float [m]
         Length of the side.
     n_elements : int
-        Number of elements on the whole side.
+        Elements on the whole side.
     cut_positions : list of float [m]
         Positions at which an interval ends and the next one begins. They lie between two elements.
 

@@ -50,7 +50,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     scene : Scene
         Scene with loads.
     dofs : Dofs
-        Dofs of the mesh.
+        The mesh's dofs.
     mass : PETSc.Mat
         Mass matrix with the clamped rows.
 
@@ -254,9 +254,9 @@ def _checked_force_on_free_dofs(
     Parameters
     ----------
     dofs : Dofs
-        Dofs of the mesh.
+        The mesh's dofs.
     key : str
-        Key of the load in the scene, for the error.
+        The load's key in the scene, for the error.
     place : object
         The load's point or edge, for the error.
     nodal_force_harmonics : (2K+1, n_dofs) [N]
@@ -336,9 +336,9 @@ def _make_watch_vector_at_edge_middle(
     Parameters
     ----------
     dofs : Dofs
-        Dofs of the mesh.
+        The mesh's dofs.
     edge : str
-        Name of the edge.
+        The edge's name.
     nodal_force_harmonics : (2K+1, n_dofs) [N]
         Load on the edge: mean, then cosine and sine parts up to the order K.
     """
@@ -367,7 +367,7 @@ def make_clamp_for_reactions(
     Parameters
     ----------
     dofs : Dofs
-        Dofs of the mesh.
+        The mesh's dofs.
     mass : PETSc.Mat
         Mass matrix, with the rows of clamped dofs.
     nodal_force_harmonics : (2K+1, n_dofs) [N]
@@ -429,7 +429,7 @@ def _make_watch_vector_at_node(
     Parameters
     ----------
     dofs : Dofs
-        Dofs of the mesh.
+        The mesh's dofs.
     nodes : (n,) int
         This rank's nodes from which to choose. The nodes of all ranks are sorted together.
     position : (d,) [m]

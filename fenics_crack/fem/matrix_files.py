@@ -375,9 +375,8 @@ def _read_number_or_pair_values(name: str, number_or_path: float | str, n_pairs:
 def table_pair_upper_bound(table: StructureTable) -> int:
     """Return an upper bound for the number of contact pairs in a table ``[structure]``.
 
-    The bound is the number of columns in the gap file. Without a gap file, count the pairs of
-    coincident nodes in the model file. Without both files, or if the file cannot be read, the
-    result is 0.
+    The bound is the gap file's number of columns. Without a gap file, the coincident node pairs in
+    the model file are counted. Without both files, or if the file cannot be read, the result is 0.
     """
     path = table.gap or table.model
     if path is None:

@@ -152,7 +152,7 @@ def _add_node(
     nodes : NodePositions
         Positions by node number; gets the new entry.
     line_number : int
-        Line of the file, for errors.
+        Line in the file, for errors.
     label : int
         Node number.
     position : tuple of float

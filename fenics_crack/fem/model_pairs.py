@@ -71,7 +71,7 @@ class _TwinNodes:
     Attributes
     ----------
     points : (n_nodes, 3) [m]
-        Positions of all nodes.
+        Node positions.
     dofs : (n_nodes, 3) int
         Row of each node along x, y, z in the matrices; -1 without a row.
     n_dofs : int
@@ -259,7 +259,7 @@ def _crack_face_facets(model: ModelFileMesh, twins: _TwinNodes) -> list[Facets]:
     A facet is on a crack face under three conditions:
 
     - A single cell has the facet.
-    - Exactly one facet of another cell lies at the same position.
+    - Exactly one facet of another cell has the same position.
     - A corner of the facet is a node in ``twins``.
 
     A facet is left out if one of its nodes coincides with another node, and only one of both has
@@ -304,11 +304,11 @@ def _cell_facets_and_cell_centres(
     Parameters
     ----------
     points : (n_nodes, 3) [m]
-        Positions of all nodes.
+        Node positions.
     cells : (n, k) int
         Nodes of each cell: corners, then the middle nodes of edges, if any.
     n_corners : int
-        Number of corners of a cell.
+        Number of corners per cell.
     facet_corner_columns : (m, n_facet_corners) int
         Corners of each of a cell's m facets, as columns of ``cells``.
 

@@ -92,7 +92,7 @@ def read_mesh_into_gmsh(path: Path, dimension: int) -> tuple[NamedParts, Cracks]
     Returns
     -------
     NamedParts
-        gmsh's group tags of named curves or surfaces, and positions of named points. A name with
+        gmsh's group tags for named curves or surfaces, and positions of named points. A name with
         several points has no position.
     Cracks
         Cracks sorted from bottom to top.
@@ -119,7 +119,7 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
     Returns
     -------
     NamedParts
-        gmsh's group tags of named curves or surfaces, and positions of named points. A name with
+        gmsh's group tags for named curves or surfaces, and positions of named points. A name with
         several points has no position.
     Cracks
         Cracks sorted from bottom to top.
@@ -272,7 +272,7 @@ def _select_cells(
     Returns
     -------
     kind : int
-        gmsh's kind of the cells.
+        gmsh's number for the cell type.
     cells : Cells
         The cells.
     positions : (n_nodes, 3) [m]
@@ -574,11 +574,11 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
     Parameters
     ----------
     kind : int
-        gmsh's kind of the cells.
+        gmsh's number for the cell type.
     cells : Cells
         The cells.
     positions : (n_nodes, d) [m]
-        Positions of all nodes.
+        Node positions.
     """
     dimension, facet_word = positions.shape[1], _FACET_WORD_BY_DIMENSION[positions.shape[1]]
     cell_positions, reference_nodes = positions[cells.cell_nodes], _reference_node_positions(kind)
@@ -646,7 +646,7 @@ def _check_inner_surfaces_are_cracks(
     Parameters
     ----------
     cells : Cells
-        Cells of the mesh.
+        The mesh's cells.
     facets_by_name : dict of str to (m, k) int
         Nodes of the facets on each named surface.
     crack_names : list of str
@@ -688,7 +688,7 @@ def check_parts_are_clamped(
     cells : Cells
         Cells after the split at cracks.
     positions : (n_nodes, d) [m]
-        Positions of all nodes.
+        Node positions.
     clamped_nodes : (m,) or (m, k) int
         Nodes on facets named "clamp".
     face_facets : sequence of (n, d) int
@@ -729,11 +729,11 @@ def check_parts_do_not_overlap(
     Parameters
     ----------
     kind : int
-        gmsh's kind of the cells.
+        gmsh's number for the cell type.
     cells : Cells
         Cells after the split at cracks.
     positions : (n_nodes, d) [m]
-        Positions of all nodes.
+        Node positions.
     face_facets : sequence of (n, d) int
         Corners of facets on crack faces.
     """
@@ -791,9 +791,9 @@ def _are_in_cells(
     Parameters
     ----------
     kind : int
-        gmsh's kind of the cells.
+        gmsh's number for the cell type.
     n_corners : int
-        Number of corners of a cell.
+        Number of corners per cell.
     cell_positions : (n, n_nodes, d) [m]
         Node positions of each cell.
     points : (n, d) [m]
@@ -877,7 +877,7 @@ def _reference_node_positions(kind: int) -> np.ndarray:
     """Return the nodes of gmsh's reference cell: (n_nodes, 3), without unit.
 
     The reference cell is the cell of unit size on which gmsh defines basis functions. ``kind`` is
-    gmsh's kind of cells. In a plate the third coordinate is 0.
+    gmsh's number for the cell type. In a plate the third coordinate is 0.
     """
     _, dimension, _, n_nodes_per_cell, coordinates, _ = gmsh.model.mesh.getElementProperties(kind)
     positions = np.zeros((n_nodes_per_cell, 3))
@@ -893,7 +893,7 @@ def _evaluate_basis_functions(
     Parameters
     ----------
     kind : int
-        gmsh's kind of cells.
+        gmsh's number for the cell type.
     reference_points : (n, 3)
         Points in the coordinates of the reference cell.
     function_name : str

@@ -49,7 +49,7 @@ class MeshWithNamedParts:
     position_by_point_name : dict of str to tuple of float
         Positions of the named points in a mesh file [m].
     crack_paths_or_surfaces : tuple of CrackPath or of CrackSurface
-        Cracks in the order of the scene; for a mesh file, from bottom to top.
+        Cracks in the scene's order; for a mesh file, from bottom to top.
     """
 
     mesh: Any
@@ -159,9 +159,9 @@ def _fill_gmsh_model_from_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
     Returns
     -------
     NamedParts
-        gmsh's group tags of named curves or surfaces, and positions of named points.
+        gmsh's group tags for named curves or surfaces, and positions of named points.
     Cracks
-        Cracks in the order of the scene; for a mesh file, from bottom to top.
+        Cracks in the scene's order; for a mesh file, from bottom to top.
     """
     if scene.mesh.layout == "file":
         from fenics_crack.fem.msh_file import read_mesh_into_gmsh  # only mesh files need its checks

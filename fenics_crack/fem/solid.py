@@ -63,9 +63,9 @@ def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     Returns
     -------
     NamedParts
-        gmsh's group tags of the named surfaces.
+        gmsh's group tags for the named surfaces.
     Cracks
-        Crack surfaces in the order of the scene.
+        Crack surfaces in the scene's order.
 
     Raises
     ------
@@ -128,13 +128,10 @@ def read_part_triangles_and_owners(
 def describe_faces_cracks_and_fronts(scene: Scene, structure: Structure) -> dict[str, str]:
     """Describe named faces, crack positions and crack fronts, as text by name (collective).
 
-    - A face's text has area and centre.
-    - A crack's text has the distance from the point given for the crack to the solid's surface.
-    - A front's text has the length, the crack's largest depth, and the shortest distance ahead to
-    the surface.
-
-    Depth and distance ahead are measured from nodes in the middle 80 % of the front. The surface is
-    approximated by plane facets.
+    A face's text has area and centre. A crack's text has the distance from the point given for the
+    crack to the solid's surface. A front's text has the length, the crack's largest depth, and the
+    shortest distance ahead to the surface. Depth and distance ahead are measured from nodes in the
+    middle 80 % of the front. The surface is approximated by plane facets.
     """
     from fenics_crack.fem.fronts import find_fronts  # takes a while, with SciPy's splines
 
@@ -249,10 +246,9 @@ def find_reaches_from_crack_middle(scene: Scene) -> tuple[float, float]:
     Returns
     -------
     float [m]
-        Largest distance to the solid's surface behind the middle, against the crack's direction
-        e_1.
+        Largest distance behind the middle, measured along the crack's direction e_1.
     float [m]
-        Largest distance to the solid's surface ahead of the middle, along e_1. Both are >= 0.
+        Largest distance ahead of the middle, measured along e_1. Both are >= 0.
     """
     crack, geometry = _make_mesher_cracks(scene, 1.0)[0], scene.geometry
     solid_surface_triangles = (

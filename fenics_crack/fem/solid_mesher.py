@@ -198,7 +198,7 @@ def triangulate_faces_coarsely() -> tuple[np.ndarray, np.ndarray]:
     triangles : (n, 3, 3) [mm]
         Corners of the triangles.
     owners : (n,) int
-        gmsh's tag of the face on which each triangle lies.
+        gmsh's tag for the face on which each triangle lies.
     """
     bounding_box_corners = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     max_size = (
@@ -284,12 +284,12 @@ def _find_names_and_face_tags(
     part_triangles : (n, 3, 3) [mm]
         Corners of triangles in a coarse mesh on all faces of the part.
     triangle_faces : (n,) int
-        gmsh's tag of the face of each triangle.
+        gmsh's face tag for each triangle.
 
     Returns
     -------
     pairs of (str, set of int)
-        Each name with gmsh's tags of the faces nearest to the points.
+        Each name with gmsh's tags for the faces nearest to the points.
 
     Raises
     ------
@@ -321,11 +321,11 @@ def _match_outer_surfaces_to_faces(
     Parameters
     ----------
     crack_surface_tags : list of int
-        gmsh's tags of the cracks; they are not matched.
+        gmsh's tags for the cracks; they are not matched.
     part_triangles : (n, 3, 3)
         Corners of triangles in a coarse mesh on the faces of the uncracked part.
     triangle_faces : (n,) int
-        gmsh's tag of the face of each triangle.
+        gmsh's face tag for each triangle.
 
     Returns
     -------
@@ -376,9 +376,9 @@ def insert_cracks(
     Returns
     -------
     surfaces : list of int
-        gmsh's tag of each crack's surface.
+        gmsh's tag for each crack's surface.
     fronts : list of dict
-        Keys: "curves", gmsh's tags of the front's curves; "points", on the curves (n, 3); "ends",
+        Keys: "curves", gmsh's tags for the front's curves; "points", on the curves (n, 3); "ends",
         end points of the front (m, 3); "shortest", element length at the front; "growth", increase
         of the element length per distance; "length", length of the front.
     """
@@ -523,7 +523,7 @@ def _sample_curve(curve_tag: int) -> np.ndarray:
 def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
     """Return the data of a crack's front (keys in :func:`insert_cracks`).
 
-    ``rim`` has gmsh's tags of all curves around the crack's surface. The curves on the border of
+    ``rim`` has gmsh's tags for all curves around the crack's surface. The curves on the border of
     the ellipse or rectangle form the front; all other curves lie on the part's surface.
     """
     half_axes, frame, is_straight = crack["half"], np.array(crack["frame"]), crack["reach"] is None
@@ -580,7 +580,7 @@ def _check_front_and_ligament_exist(
     crack : CrackData
         Crack, with the keys in :func:`insert_cracks`.
     surface_tag : int
-        gmsh's tag of the crack's surface.
+        gmsh's tag for the crack's surface.
     front : FrontData
         The crack's front, with the keys in :func:`insert_cracks`.
     part_triangles : (n, 3, 3)
@@ -697,7 +697,7 @@ def add_graded_field(
     list_name : str
         "CurvesList" if the tags belong to curves, "PointsList" for points.
     tags : list of int
-        gmsh's tags of the curves or points.
+        gmsh's tags for the curves or points.
     size, shortest : float
         Longest and shortest element length.
     growth : float
@@ -706,7 +706,7 @@ def add_graded_field(
     Returns
     -------
     distance_field, length_field : int
-        gmsh's tags of the field of distances, and of the field of element lengths.
+        gmsh's tags for the field of distances, and of the field of element lengths.
     """
     field = gmsh.model.mesh.field
     distance_field, length_field = field.add("Distance"), field.add("Threshold")
@@ -748,9 +748,9 @@ def collect_mesh(
     Parameters
     ----------
     crack_surface_tags : list of int
-        gmsh's tag of each crack. The groups are named "crack 1", "crack 2" and so on.
+        gmsh's tag for each crack. The groups are named "crack 1", "crack 2" and so on.
     surface_tags_by_name : dict of str to list of int
-        gmsh's tags of the surfaces with each name.
+        gmsh's tags for the surfaces with each name.
 
     Returns
     -------
@@ -777,7 +777,7 @@ def collect_nodes_and_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
     Parameters
     ----------
     groups : list of (dimension, tag, name, entities)
-        Groups, with gmsh's tags of the points, curves, surfaces or volumes in each.
+        Groups, with gmsh's tags for the points, curves, surfaces or volumes in each.
 
     Returns
     -------
