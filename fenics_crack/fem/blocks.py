@@ -107,10 +107,10 @@ def _element_length_off_cracks(scene: Scene) -> float:
 
 
 def scale_scene_to_mesh_unit(scene: Scene, metres_per_unit: float = 0.0) -> tuple[Scene, float]:
-    """Convert a scene's lengths to the unit for gmsh.
+    """Convert a scene's lengths from metres to gmsh's unit.
 
-    ``metres_per_unit`` is the unit [m]. 0 selects a power of ten: the longest side then measures
-    0.0316 to 0.316 units.
+    Used because gmsh's tolerances are fixed lengths. ``metres_per_unit`` is the unit [m]. 0 selects
+    a power of ten: the longest side then measures 0.0316 to 0.316 units.
 
     Returns
     -------
@@ -384,8 +384,8 @@ def _add_surfaces(
         gmsh's tags for the blocks' lower sides and left sides, by (column, row). The plate's upper
         and right sides are included, with the index after the last block.
     upper_by_ij : Curves
-        gmsh's tags for the upper crack faces, by (column, row) of the block above. They replace the
-        lower sides of these blocks.
+        gmsh's tags for the upper crack faces, by (column, row) of the block above. Used as
+        lower sides of the blocks above cracks.
     """
     surfaces = []
     for i in range(n_columns):
@@ -572,9 +572,8 @@ class DiskRim:
     def blade_corner_gradings(self) -> list[PointGrading]:
         """Return the element length around the two corners between blade and rim.
 
-        The stress is infinite at the corners, so the elements are short there. The length is
-        ``mesh.size`` / 32 at a corner. It grows linearly with the distance d from the corner, by
-        ``mesh.size`` d / (blade width).
+        The stress is infinite at the corners, so the elements are short. At the distance d
+        from a corner the length is ``mesh.size`` (1/32 + d / blade width).
         """
         blade_width, element_size = self.scene.geometry.sides[0], self.scene.mesh.given("size")
         return [
@@ -587,9 +586,10 @@ class DiskRim:
         ]
 
     def name_of(self, face_center: tuple[float, float, float]) -> str:
-        """Name a face on a solid's rim: "rim_left", "rim_right", "clamp" or "rim".
+        """Return the name for a face on a solid's rim: "rim_left", "rim_right", "clamp" or "rim".
 
-        ``face_center`` is the face's center of mass. The clamp is the inner circle.
+        ``face_center`` (x, y, z) is the face's center of mass. "rim_left" and "rim_right" are the
+        sector's sides, "clamp" is the inner circle, and "rim" any other face.
         """
         offset_across_blade = face_center[2] - self.blade_middle_position
         offset_along_blade = face_center[1] - self.axis_y_position
@@ -718,8 +718,9 @@ def _mesh_current_model_with_gradings(
 ) -> None:
     """Mesh gmsh's current model with elements of ``mesh.size``, shorter near given points.
 
-    Each grading states an element length as a function of the distance from a point. The element
-    length is the minimum of ``mesh.size`` and all gradings.
+    The element length at a position is the smallest of ``mesh.size`` and the lengths of all
+    ``gradings``. A grading states an element length as a function of the distance from a point.
+    ``scene`` is in metres, for errors; ``unit_scene`` and the gradings are in gmsh's unit.
 
     Raises
     ------

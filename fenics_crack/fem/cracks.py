@@ -202,8 +202,8 @@ class CrackSurface:
 def size_weighted_normals(facets: np.ndarray) -> np.ndarray:
     """Return a normal for each edge (n, 2, 2) or triangle (n, 3, 3): (n, 2) or (n, 3).
 
-    A normal's length is the edge's length, or twice the triangle's area. The direction follows the
-    order of corners.
+    ``facets`` [m] are the corner positions. A normal's length is the edge's length [m], or twice
+    the triangle's area [m^2]. The direction follows the order of corners.
     """
     sides = facets[:, 1:] - facets[:, :1]
     if facets.shape[2] == 2:
@@ -383,9 +383,9 @@ def count_equal_rows(rows: np.ndarray) -> np.ndarray:
 
 
 def are_rows_in(node_rows: np.ndarray, other_node_rows: np.ndarray) -> np.ndarray:
-    """Return True for each row of ``node_rows`` that ``other_node_rows`` have, too: (n,) bool.
+    """Return True for each row of ``node_rows`` that ``other_node_rows`` has, too: (n,) bool.
 
-    The order of nodes in a row does not matter.
+    A row has k nodes, in any order. The arrays are (n, k) and (m, k).
     """
     _, unique_row_of_row, _ = find_unique_rows(np.concatenate([other_node_rows, node_rows]))
     return np.asarray(
@@ -577,14 +577,16 @@ class Cells:
     def sorted_facets_and_owners(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the facets of all cells, sorted so that equal facets are neighbours.
 
+        A facet between two cells occurs twice, a facet on the boundary once.
+
         Returns
         -------
         facets : (n, m) int
             Corner nodes of each facet, in ascending order.
         owner : (n,) int
-            Cell with the facet.
+            Cell that has the facet.
         local_corners : (n, m) int
-            Columns in ``cell_nodes`` with these corners.
+            For each corner, the column in ``cell_nodes`` of the owner.
         """
         facet_corners = self.cell_nodes[:, self.facet_corner_columns].reshape(
             -1, self.facet_corner_columns.shape[1]
@@ -603,13 +605,20 @@ class Cells:
 
     @cached_property
     def is_facet_equal_to_next(self) -> np.ndarray:
-        """Return True for each sorted facet equal to the next, inside the mesh: (n - 1,) bool."""
+        """Return True for each facet that equals the next facet: (n - 1,) bool.
+
+        The facets are in the order of ``sorted_facets_and_owners``. Equal facets belong to two
+        cells.
+        """
         facets = self.sorted_facets_and_owners[0]
         return np.asarray(np.all(facets[1:] == facets[:-1], axis=1))
 
     @cached_property
     def is_boundary_facet(self) -> np.ndarray:
-        """Return True for each sorted facet with a single cell, on the boundary: (n,) bool."""
+        """Return True for each facet of a single cell, on the mesh's boundary: (n,) bool.
+
+        The facets are in the order of ``sorted_facets_and_owners``.
+        """
         is_shared = np.concatenate([[False], self.is_facet_equal_to_next, [False]])
         return ~(is_shared[1:] | is_shared[:-1])
 
@@ -617,10 +626,17 @@ class Cells:
 def merge_crack_nodes(
     crack_facets: np.ndarray, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Merge coincident nodes along cracks, before :func:`split_cracks` doubles nodes.
+    """Merge coincident nodes along cracks, so that every crack node is single.
 
-    gmsh's plugin "Crack" may have doubled nodes already. ``crack_facets`` (m, k) are nodes of the
-    cracks' facets, ``positions`` (n_nodes, d) [m] belong to all nodes.
+    gmsh's plugin "Crack" may have doubled nodes already; :func:`split_cracks` needs a mesh without
+    doubled nodes.
+
+    Parameters
+    ----------
+    crack_facets : (m, k) int
+        Nodes of the facets on all cracks.
+    positions : (n_nodes, d) [m]
+        Node positions.
 
     Returns
     -------
@@ -823,7 +839,7 @@ def _label_corner_stars(
     cells : Cells
         The mesh's cells.
     is_passable : (n_facets - 1,) bool
-        True for a facet between two cells that is not on a crack. The order is that of
+        True for a facet between two cells that is not on a crack. Facets are in the order of
         ``cells.sorted_facets_and_owners``.
     is_split_node : (n_nodes,) bool
         True for nodes to be doubled.

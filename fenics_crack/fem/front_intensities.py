@@ -418,7 +418,7 @@ class _IntegrationDomain:
             Field w = q h a_,1 at the nodes, with the same axes. Forces f at the nodes add -w . f to
             the interaction integral. q is a weight, 1 near the front and 0 at the domain's border.
             h is the station's hat function, 1 at the station and 0 at the neighbours. a is the
-            displacement field with K = 1, and a_,1 its derivative in the direction ahead of the
+            displacement field with K = 1, and a_,1 the derivative in the direction ahead of the
             crack.
         """
         n_rows = 3 * len(self.front.station_parameters)
@@ -517,12 +517,12 @@ class _IntegrationDomain:
         xi, y, r : (n, m) [m]
             Coordinates along e_1 and e_2, and distance from the front.
         hat, hat_slope : (n, m, n_stations)
-            Hat functions, 1 at a station and 0 at its neighbours, and the derivatives by the length
-            along the front.
+            Hat functions, 1 at a station and 0 at the neighbours, and their derivatives by the
+            length along the front.
         curvature, curvature_slope : (n, m) [1/m], [1/m^2]
             Front curvature, and the derivative by the length along the front.
         domain_radius : (n, m) [m]
-            Integration domain's radius.
+            Radius of the integration domain around the front.
         """
         front = self.front
         t = front.nearest_parameters(positions)
@@ -816,9 +816,10 @@ class _IntegrationDomain:
 def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
     """Return factors of the contact forces in K_I: (n_stations, n_pairs) [Pa m^1/2 / N].
 
-    Each pair's contact force acts as a pressure on the crack faces, distributed by the pair's
-    pressure function. The factors are the pressure's term in the interaction integral, which gives
-    K_I.
+    K_I at a station is a sum over the pairs of factor times contact force, plus a part from the
+    displacement. Each contact force acts as a pressure on the crack faces, distributed by the
+    pair's pressure function. The factor is this pressure's term in the interaction integral.
+    ``front`` has the stations.
     """
     pairs = structure.pairs
     assert pairs.nodes is not None and pairs.pressure_matrix is not None and pairs.areas is not None

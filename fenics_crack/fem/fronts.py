@@ -91,9 +91,10 @@ class Front:
     def hat_peak_parameters(self) -> np.ndarray:
         """Return the curve parameters t at the peaks of the hat functions, equally spaced: (n,).
 
-        A hat is 1 at its peak and falls linearly in t to 0 at the neighbouring peaks.
+        A hat is 1 at its peak and falls linearly in t to 0 at the neighbouring peaks. Peaks are the
+        stations, the points for stress intensities.
 
-        On a closed front the last value is the first peak again, a turn later, so n is the number
+        On a closed front the last value is the first peak again, a turn later. So n is the number
         of stations plus 1. An open front with two intervals or more has a peak in the middle, where
         a half-ellipse is deepest.
         """
@@ -123,9 +124,10 @@ class Front:
 
     @property
     def corner_station_indices(self) -> list[int]:
-        """Return the indices of stations at corners of the crack front, where K is undefined.
+        """Return the indices of stations at corners of the crack front.
 
-        A corner ends this smooth part of the front inside the solid.
+        Stress intensities are undefined at a corner, so the stations are left out of results. A
+        corner is an end of this smooth part of the front, inside the solid.
         """
         if self.is_closed:
             return []
@@ -169,17 +171,16 @@ class Front:
     def frame_and_curvature(
         self, t: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the front's unit vectors, speed ds/dt and curvature at curve parameters t (...).
+        """Return the front's unit vectors, parameter speed and curvature at parameters t (...).
 
         Returns
         -------
         frame_vectors : (..., 3, 3)
             Rows: unit vectors e_1 ahead of the crack, e_2 normal to it, e_3 along the front.
         speed : (...,)
-            Front length per parameter, ds/dt.
+            ds/dt with the length s along the front.
         curvature, curvature_slope : (...,) [1/m], [1/m^2]
-            Curvature, positive if the crack is convex, and the derivative by the length s along
-            the front.
+            Curvature, positive if the crack is convex, and the derivative by s.
         """
         first_derivative, second_derivative, third_derivative = (
             self.curve_function(t, order) for order in (1, 2, 3)

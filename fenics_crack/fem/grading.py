@@ -198,7 +198,7 @@ def _intervals_with_equal_elements(
     n_elements : int
         Elements on the whole side.
     cut_positions : list of float [m]
-        Positions at which an interval ends and the next one begins. They lie between two elements.
+        Positions at which an interval ends and the next one begins. Each lies between two elements.
 
     Returns
     -------
@@ -247,8 +247,8 @@ def _graded_crack_faces(scene: Scene, crack: Crack) -> list[_GradedCrackFace]:
 def _graded_columns_and_rows(scene: Scene) -> tuple[list[ElementInterval], list[ElementInterval]]:
     """Divide a plate into block columns and rows with short elements at tips and cracks.
 
-    Columns are divided at tips, rows at cracks. Without cracks there is one block with elements of
-    length ``mesh.size``.
+    Columns are divided at tips, rows at cracks. Without cracks the plate is a single block with
+    elements of length ``mesh.size``.
     """
     (width, height), element_size = scene.geometry.sides, scene.mesh.given("size")
     if not scene.crack_by_name:
@@ -389,10 +389,11 @@ def _make_graded_element_interval(
 def _graded_count_and_ratio(
     interval_length: float, min_length: float, max_length: float
 ) -> tuple[int, float]:
-    """Return number and length ratio of geometrically growing elements on an interval.
+    """Return the number and the length ratio of elements that grow along an interval.
 
-    The ratio is an element's length over the previous length. The elements grow from about
-    ``min_length`` to about ``max_length``. No element is longer than half the interval.
+    Each element's length is the ratio times the previous length. The elements grow from about
+    ``min_length`` to about ``max_length``; no element is longer than half the interval. All lengths
+    have the same unit.
     """
     if min_length >= max_length:
         return math.ceil(interval_length / max_length), 1.0

@@ -151,9 +151,20 @@ def _largest_force_direction(force_vectors: Sequence[Vector]) -> Vector:
 def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     """Distribute a unit point force over this rank's nodes: (n_nodes,) (collective).
 
-    A node at the point takes the whole force. Otherwise the fractions are the values of the basis
-    functions N_i at the point. On a part from a CAD file, a point close to the mesh but outside all
-    cells loads the nearest node. ``key`` names the point in errors.
+    A node at the point takes the whole force. Otherwise the fractions are the values of the nodes'
+    basis functions at the point. If a point on a CAD part lies outside all cells but close to the
+    mesh, the nearest node takes the whole force.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the mesh's order.
+    dofs : Dofs
+        The mesh's dofs.
+    key : str
+        The point's key in the scene, for errors.
+    point : (d,) [m]
+        Point at which the force acts.
 
     Raises
     ------
@@ -331,7 +342,7 @@ def _make_watch_vector_at_edge_middle(
     """Return the vector to watch the displacement at an edge's middle: (n_local,).
 
     Results report the product with the displacement u. The product is the displacement of the
-    edge's node nearest to the middle. Its direction is the axis along which the load is largest.
+    edge's node nearest to the middle. The direction is the axis along which the load is largest.
 
     Parameters
     ----------

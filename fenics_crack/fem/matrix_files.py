@@ -238,9 +238,17 @@ def _read_matrices_columns_and_model(
 def _find_row_order_and_node_dofs(
     model: ModelFileMesh, row_labels: np.ndarray, table: StructureTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Order the matrices' rows so that rows of a node are neighbours.
+    """Find a new order of the matrices' rows, in which rows of a node are neighbours.
 
-    ``row_labels`` (n_dofs, 2) are the node's number and the direction (1 to 6) of each row.
+    Parameters
+    ----------
+    model : ModelFileMesh
+        Nodes from the model file.
+    row_labels : (n_dofs, 2) int
+        For each row, node number in the file and direction: 1 to 3 for displacements, 4 to 6 for
+        rotations.
+    table : StructureTable
+        Table ``[structure]``, for errors.
 
     Returns
     -------
@@ -280,10 +288,10 @@ def _find_row_order_and_node_dofs(
 
 
 def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
-    """Return start and stop of this rank's rows, ordered by nodes.
+    """Return the first row of this rank, and the first row of the next rank.
 
     All rows of a node are on one rank, and all ranks have about equally many rows. ``node_starts``
-    (n + 1,) comes from :func:`_find_row_order_and_node_dofs`.
+    (n + 1,) has the first row of each node, then the number of rows.
     """
     balanced_start_and_stop = node_starts[-1] * np.array([comm.rank, comm.rank + 1]) // comm.size
     start, stop = node_starts[np.searchsorted(node_starts, balanced_start_and_stop)]
@@ -296,7 +304,7 @@ def _own_nodes(
     """Return the nodes whose matrix rows this rank has, and the cells for drawing.
 
     Rank 0 also gets all cells, and the nodes in cells without rows. Cells are left out unless three
-    conditions hold: all have the same kind, they are not wedges, and each matrix row is a node's
+    conditions hold: all have the same kind, none is a wedge, and each matrix row is a node's
     translation.
 
     Parameters

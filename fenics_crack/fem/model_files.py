@@ -331,7 +331,7 @@ def _yield_nastran_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
-    """Read nodes and solid cells from a file that Ansys wrote with CDWRITE.
+    """Read nodes and solid cells from a file written by Ansys' CDWRITE.
 
     Node positions are added to ``nodes``, by node number. The cells' node numbers are added to
     ``cells``, by VTK's cell type. Nodes are in the block NBLOCK, cells in the block EBLOCK. Element

@@ -264,10 +264,10 @@ def unpack_groups(contents: dict[str, np.ndarray]) -> list[Group]:
 def _select_cells(
     raw_mesh: RawMesh, dimension: int
 ) -> tuple[int, Cells, np.ndarray, dict[str, np.ndarray], list[Group]]:
-    """Select cells, named facets and named points, with nodes numbered from 0.
+    """Select a mesh's cells, named facets and named points, and number the nodes from 0.
 
-    Nodes without cells are dropped. A cell in several groups is kept once. InputError if cells are
-    of several kinds, or no facets are named "clamp".
+    Nodes without cells are dropped. A cell in several groups is kept once. ``dimension`` is 2 for a
+    plate, 3 for a solid.
 
     Returns
     -------
@@ -281,6 +281,11 @@ def _select_cells(
         Nodes of the facets with each name, "clamp" included.
     point_groups : list of Group
         Groups of named points.
+
+    Raises
+    ------
+    InputError
+        Cells are of several kinds, or no facets are named "clamp".
     """
     node_numbers, positions, groups = raw_mesh
     cells_requirement, facet_group_word = _CELL_REQUIREMENT_AND_FACET_WORD_BY_DIMENSION[dimension]
@@ -420,7 +425,7 @@ def _renumber_facets_after_split(
 ) -> dict[str, np.ndarray]:
     """Give named facets the new node numbers after nodes were doubled along cracks.
 
-    A facet with a doubled node gets the nodes of its cell, so it stays on the same side of the
+    A facet with a doubled node gets the nodes of its cell, and so stays on the same side of the
     crack.
 
     Parameters
@@ -469,7 +474,15 @@ def _check_mouths_are_open(
     """Raise InputError if both crack faces share a node at the plate's edge.
 
     A crack that reaches the edge must have a mouth there: two coincident nodes, one for each face.
-    ``face_edges`` are the nodes of element edges on the lower and on the upper face, (n, 2) each.
+
+    Parameters
+    ----------
+    cells : Cells
+        The plate's cells.
+    positions : (n_nodes, d) [m]
+        Node positions.
+    face_edges : two arrays (n, 2) int
+        Nodes of element edges on the lower and on the upper crack face.
     """
     boundary_edges = cells.sorted_facets_and_owners[0][cells.is_boundary_facet]
     boundary_edges = boundary_edges[~are_rows_in(boundary_edges, np.concatenate(face_edges))]

@@ -223,8 +223,8 @@ class NodalMesh:
     def crack_face_sides(self) -> np.ndarray:
         """Return the nodes of edges or facets on crack faces: (n, k) int.
 
-        The rows are selected from ``boundary_sides``. A side is on a crack face if the centre
-        coincides with another side's centre.
+        The rows are selected from ``boundary_sides``: edges of a plate, facets of a solid. An edge
+        or facet is on a crack face if its centre coincides with a second centre.
         """
         from scipy.spatial import cKDTree  # slow to import, and few pictures need it
 

@@ -302,10 +302,11 @@ class Dofs:
         return free_matrix
 
     def function(self, displacement: np.ndarray) -> Any:
-        """Convert a displacement (n_local,) to a DOLFINx Function, 0 at clamped dofs.
+        """Convert a displacement (n_local,) to a DOLFINx Function (collective).
 
-        In a disk sector, the function's values are components along x, y (and z) at all nodes
-        (collective).
+        The function is 0 at clamped dofs. In a disk's sector, the dofs on the right side are
+        components along the next sector's axes. The function's values are components along x, y
+        (and z) at all nodes.
         """
         function = dolfinx.fem.Function(self.space)
         rotated_displacement = (

@@ -275,7 +275,7 @@ def _find_names_and_face_tags(
     part_triangles: np.ndarray,
     triangle_faces: np.ndarray,
 ) -> Iterable[tuple[str, set[int]]]:
-    """Find the faces of a CAD part that a user named through points.
+    """Find the faces of a CAD part named by a user through points.
 
     Parameters
     ----------
@@ -521,10 +521,11 @@ def _sample_curve(curve_tag: int) -> np.ndarray:
 
 
 def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
-    """Return the data of a crack's front (keys in :func:`insert_cracks`).
+    """Return the front of a crack as a dict, with the keys in :func:`insert_cracks`.
 
     ``rim`` has gmsh's tags for all curves around the crack's surface. The curves on the border of
-    the ellipse or rectangle form the front; all other curves lie on the part's surface.
+    the ellipse or rectangle form the front; all other curves lie on the part's surface. ``crack``
+    has the keys in :func:`insert_cracks`.
     """
     half_axes, frame, is_straight = crack["half"], np.array(crack["frame"]), crack["reach"] is None
     front_curves, point_arrays, extent_behind_front = [], [np.zeros((0, 3))], 0.0
@@ -616,7 +617,7 @@ def _check_front_and_ligament_exist(
 def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:
     """Estimate the number of cells for gmsh's current model.
 
-    Around a front the elements are shorter. Their number is 5 L int 2 pi d / h^3 dd, with the
+    Around a front the elements are shorter. The number is 5 L int 2 pi d / h^3 dd, with the
     front's length L, the distance d from the front, and the element length h at d.
 
     Parameters
@@ -817,7 +818,7 @@ def straighten_edges(
 ) -> tuple[np.ndarray, int]:
     """Straighten the edges of cells at crack fronts, and of nearly folded cells.
 
-    To straighten an edge, its middle node is moved halfway between the ends. A cell is nearly
+    To straighten an edge, the middle node is moved halfway between the ends. A cell is nearly
     folded if its Jacobian determinant varies too much.
 
     Parameters
