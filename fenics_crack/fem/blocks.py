@@ -60,21 +60,22 @@ def check_cell_count(
 ) -> None:
     """Raise InputError if a mesh would have too many cells for gmsh or the memory.
 
-    The limits are 5e6 cells, and the machine's memory for the mesh, the matrices, or a factored
-    stiffness.
+    gmsh is allowed 5e6 cells. The mesh with the matrices must fit into the machine's memory, and so
+    must the factored stiffness.
 
     Parameters
     ----------
     scene : Scene
         Scene to mesh.
     mesh_key : str
-        Key in the table ``[mesh]`` named in the error, as "size".
+        Key in the scene's table ``[mesh]`` to name in the error, as "size".
     n_cells : float
         Estimated number of cells.
     dofs_per_cell : int
         Average number of dofs per cell.
     size_note : str
-        Text to add to the message, as the shortest element's length.
+        Text for the error message, behind "fewer cells". Used to state the shortest element's
+        length.
     """
     n_dofs, max_n_cells_for_gmsh = (
         dofs_per_cell * n_cells,
@@ -106,10 +107,10 @@ def _element_length_off_cracks(scene: Scene) -> float:
 
 
 def scale_scene_to_mesh_unit(scene: Scene, metres_per_unit: float = 0.0) -> tuple[Scene, float]:
-    """Convert a scene's lengths to the unit for gmsh.
+    """Convert a scene's lengths from metres to gmsh's unit.
 
-    ``metres_per_unit`` is the unit [m]. 0 selects a power of ten: the longest side then measures
-    0.0316 to 0.316 units.
+    Used because gmsh's tolerances are fixed lengths. ``metres_per_unit`` is the unit [m]. 0 selects
+    a power of ten: the longest side then measures 0.0316 to 0.316 units.
 
     Returns
     -------
@@ -158,9 +159,9 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     Returns
     -------
     NamedParts
-        gmsh's group tags of the named sides, and no named points.
+        gmsh's group tags for the named sides, and no named points.
     Cracks
-        Crack paths in the order of the scene.
+        Crack paths in the scene's order.
     """
     unit_scene, metres_per_unit = scale_scene_to_mesh_unit(scene)
     facet_tags_by_group = _draw_blocks(scene, unit_scene)
@@ -199,10 +200,14 @@ def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
 
 
 def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
-    """Draw a plate's blocks in gmsh, and set the elements on curves and surfaces.
+    """Draw a plate's blocks in gmsh, and set the number of elements on all block sides.
 
-    ``unit_scene`` is the scene in gmsh's unit of length. Returns gmsh's group tag for each side's
-    name.
+    ``scene`` has lengths in metres, ``unit_scene`` the same lengths in gmsh's unit.
+
+    Returns
+    -------
+    dict of str to (int,)
+        gmsh's group tag for each named side of the plate, crack face or rim side.
     """
     _check_plate_cell_count(scene)
     column_intervals, row_intervals, slits = find_plate_columns_rows_and_slits(unit_scene)
@@ -338,7 +343,15 @@ def _find_doubled_corner_indices(slits: list[Slit], n_columns: int) -> list[tupl
     """Return the block corners on cracks, except at tips, as (column, row) of the corner.
 
     At these corners each crack face has a separate point. An end of a crack at the plate's edge is
-    a mouth, not a tip. ``slits`` are the cracks among the blocks.
+    a mouth, not a tip.
+
+    Parameters
+    ----------
+    slits : list of (row, columns)
+        For each crack: index of the block row above the crack, and range of the block columns along
+        the crack.
+    n_columns : int
+        Number of block columns in the plate.
     """
     return [
         (i, row)
@@ -361,17 +374,18 @@ def _add_surfaces(
     vertical_by_ij: Curves,
     upper_by_ij: Curves,
 ) -> list[int]:
-    """Add the surface of each block to gmsh, and return the tags, column by column.
+    """Add the surface of each block to gmsh, and return gmsh's tags, column by column.
 
     Parameters
     ----------
     n_columns, n_rows : int
-        Number of blocks in each direction.
+        Number of blocks across and along the plate.
     horizontal_by_ij, vertical_by_ij : Curves
-        gmsh's tags of the blocks' lower sides and left sides, by (column, row). The plate's upper
+        gmsh's tags for the blocks' lower sides and left sides, by (column, row). The plate's upper
         and right sides are included, with the index after the last block.
     upper_by_ij : Curves
-        gmsh's tags of the upper crack faces: lower sides of the blocks above a crack.
+        gmsh's tags for the upper crack faces, by (column, row) of the block above. Used as
+        lower sides of the blocks above cracks.
     """
     surfaces = []
     for i in range(n_columns):
@@ -392,8 +406,9 @@ def _add_surfaces(
 def _add_groups_and_find_tags(entities_by_name: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
     """Make gmsh's physical groups, and return each group's tag by name.
 
-    ``entities_by_name`` has (dimension, tags of entities) by name. Names without entities get no
-    group.
+    A physical group is a named set of gmsh's points, curves or surfaces. ``entities_by_name`` has,
+    for each name, the dimension (0, 1 or 2) and the tags of the group's members. A name without
+    members gets no group and no tag.
     """
     tag_by_name = {
         name: group_tag
@@ -408,9 +423,10 @@ def _add_groups_and_find_tags(entities_by_name: dict[str, tuple[int, list[int]]]
 
 
 def _set_cell_kind(scene: Scene, surface_tags: list[int]) -> None:
-    """Set the cells on gmsh's surfaces, from the scene's mesh settings.
+    """Choose triangles or quadrilaterals for gmsh's surfaces ``surface_tags``.
 
-    Blocks get structured triangles or quadrilaterals. Graded triangles are unstructured.
+    The scene's ``mesh.cells`` and ``mesh.layout`` decide. The cells of a grid, and all
+    quadrilaterals, lie in regular rows. Triangles with graded lengths have no rows.
     """
     if scene.has_graded_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
         gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
@@ -425,7 +441,23 @@ def _set_cell_kind(scene: Scene, surface_tags: list[int]) -> None:
 def _add_curve(
     start_tag: int, end_tag: int, interval: ElementInterval, center: int | None = None
 ) -> int:
-    """Add a line, or an arc around ``center``, with the interval's elements; return the tag."""
+    """Add a line or an arc between two points to gmsh, and divide it into elements.
+
+    Parameters
+    ----------
+    start_tag, end_tag : int
+        gmsh's tags for the end points.
+    interval : ElementInterval
+        Number of elements, and length ratio of successive elements. With 0 elements the curve stays
+        undivided.
+    center : int or None
+        gmsh's tag for the arc's center; None for a line.
+
+    Returns
+    -------
+    int
+        gmsh's tag for the curve.
+    """
     geo = gmsh.model.geo
     point_tags = (start_tag, end_tag) if center is None else (start_tag, center, end_tag)
     curve_tag: int = (geo.addLine if center is None else geo.addCircleArc)(*point_tags)
@@ -502,10 +534,11 @@ class DiskRim:
     def draw_with_blade(
         self, width: float, height: float, thickness: float
     ) -> list[tuple[int, int]]:
-        """Draw a solid sector, rim and blade in a single volume; return gmsh's (dimension, tag).
+        """Draw a sector of a solid disk, rim and blade in a single volume.
 
-        ``width``, ``height`` and ``thickness`` are the blade's sides. The rim is as thick as the
-        blade is wide.
+        ``width``, ``height`` and ``thickness`` are the blade's sides in gmsh's unit of length. The
+        rim is as thick as the blade is wide. Returns a list with gmsh's (dimension, tag) of the
+        volume.
         """
         occ = gmsh.model.occ
         polar_corners = [
@@ -537,11 +570,10 @@ class DiskRim:
         return list(occ.fuse(rim_dim_tags, blade_dim_tags)[0])
 
     def blade_corner_gradings(self) -> list[PointGrading]:
-        """Return the grading of element lengths around the corners between blade and rim.
+        """Return the element length around the two corners between blade and rim.
 
-        The stress is infinite at the corners. The element length at a corner is ``mesh.size`` / 32.
-        The length grows linearly with the distance, by ``mesh.size`` over a distance of the blade's
-        width.
+        The stress is infinite at the corners, so the elements are short. At the distance d
+        from a corner the length is ``mesh.size`` (1/32 + d / blade width).
         """
         blade_width, element_size = self.scene.geometry.sides[0], self.scene.mesh.given("size")
         return [
@@ -554,9 +586,10 @@ class DiskRim:
         ]
 
     def name_of(self, face_center: tuple[float, float, float]) -> str:
-        """Name a face on a solid's rim: "rim_left", "rim_right", "clamp" or "rim".
+        """Return the name for a face on a solid's rim: "rim_left", "rim_right", "clamp" or "rim".
 
-        ``face_center`` is the face's center of mass. The clamp is the inner circle.
+        ``face_center`` (x, y, z) is the face's center of mass. "rim_left" and "rim_right" are the
+        sector's sides, "clamp" is the inner circle, and "rim" any other face.
         """
         offset_across_blade = face_center[2] - self.blade_middle_position
         offset_along_blade = face_center[1] - self.axis_y_position
@@ -598,15 +631,23 @@ class DiskRim:
         foot_columns: list[ElementInterval],
         surfaces: list[int],
     ) -> dict[str, tuple[int, list[int]]]:
-        """Draw the rim in blocks below a plate's foot, and append the tags to ``surfaces``.
+        """Draw the rim of a plane disk's sector, in blocks from the inner to the outer circle.
 
-        ``foot_points``, ``foot_curves`` and ``foot_columns`` are gmsh's points and curves and the
-        block columns along the foot, from left to right.
+        The blade's foot is the part of the outer circle below the blade.
+
+        Parameters
+        ----------
+        foot_points, foot_curves : list of int
+            gmsh's tags for the points and curves along the foot, from left to right.
+        foot_columns : list of ElementInterval
+            Block columns of the blade, from left to right.
+        surfaces : list of int
+            gmsh's tags for surfaces. The tags of the rim's blocks are appended.
 
         Returns
         -------
         dict
-            Dimension and gmsh's tags of the curves, by side: "clamp", "rim_left", "rim_right".
+            Dimension and gmsh's tags for the curves, by side: "clamp", "rim_left", "rim_right".
         """
         element_size, geo = _element_length_off_cracks(self.scene), gmsh.model.geo
         arc_angle_beside_blade = self.half_angle - math.asin(
@@ -677,8 +718,9 @@ def _mesh_current_model_with_gradings(
 ) -> None:
     """Mesh gmsh's current model with elements of ``mesh.size``, shorter near given points.
 
-    Each grading states an element length as a function of the distance from a point. The element
-    length is the minimum of ``mesh.size`` and all gradings.
+    The element length at a position is the smallest of ``mesh.size`` and the lengths of all
+    ``gradings``. A grading states an element length as a function of the distance from a point.
+    ``scene`` is in metres, for errors; ``unit_scene`` and the gradings are in gmsh's unit.
 
     Raises
     ------

@@ -79,24 +79,26 @@ def pair_crack_faces(
 ) -> tuple[sparse.csr_matrix, sparse.csr_matrix | None, Pairs]:
     """Make contact pairs from nodes at equal positions on both crack faces (collective).
 
-    Pairs are ordered crack by crack. On a plate they run from the mouth to the tip, or from the
-    left tip to the right one. On a solid they run from the front to the mouth.
+    Pairs are ordered crack by crack. On a plate they run from the mouth to the tip. In a crack
+    without a mouth they run from the left to the right tip. On a solid they run from the front to
+    the mouth.
 
     Parameters
     ----------
     dofs : Dofs
-        Free dofs of the mesh.
+        The mesh's free dofs.
     t : ufl expression [m]
-        Thickness t of a plate, 1 for a solid.
+        A plate's thickness t, 1 for a solid.
     mouth_only : bool
-        True to keep a single pair for each crack, at the mouth or in the middle.
+        True to keep a single pair for each crack: at the mouth, or without a mouth in the middle.
     max_patches : int, optional
-        Maximum number of pairs for each crack. Default: a pair for each node off tips and fronts.
+        Maximum number of pairs for each crack. Default: a pair for each node, except nodes at tips
+        and fronts.
 
     Returns
     -------
     gap : (n_local, n_pairs)
-        Matrix B for normal gaps B^T u, with the rows for this rank's free dofs.
+        Matrix B for normal gaps B^T u with the displacement u. Rows are this rank's free dofs.
     tangential : (n_local, n_pairs) or None
         Matrix B_t for tangential gaps B_t^T u: B with each node's normal turned by a right angle.
         None for a solid, where ``pairs.tangential_gap_matrix`` has two directions per pair.
@@ -184,30 +186,30 @@ def pair_crack_faces(
 def _matrix_distributing_front_pressure(
     dofs: Dofs, space: Any, both_faces_measure: Any, node_numbers: np.ndarray, n_inside: int
 ) -> sparse.csr_matrix:
-    """Return the matrix S that replaces the pressure functions of nodes on crack fronts.
+    """Return the matrix S that distributes pressure functions at crack fronts to neighbours.
 
-    A pressure function distributes a node's contact force over the crack faces, as a pressure.
-    Nodes on fronts have no contact pair. So their functions psi_i are distributed to the
-    neighbours: node j off the front gets sum_i S_ij psi_i over all nodes i.
+    A pressure function psi_i distributes the contact force at node i over the crack faces, as a
+    pressure. Nodes on fronts have no contact force. So node j off the fronts gets the function
+    sum_i S_ij psi_i, with the sum over all nodes i.
 
     Parameters
     ----------
     dofs : Dofs
-        Dofs of the mesh.
+        The mesh's dofs.
     space : dolfinx function space
         Space of the functions psi_i.
     both_faces_measure : ufl.Measure
         Measure for integrals over both crack faces.
     node_numbers : (n,) int
-        Global numbers of the nodes on a face: ``n_inside`` nodes off the fronts, then those on
-        fronts.
+        Global numbers of the nodes on a face: first ``n_inside`` nodes off the fronts, then the
+        nodes on fronts.
     n_inside : int
         Number of nodes off the fronts.
 
     Returns
     -------
     (n, n_inside)
-        S.
+        Matrix S, with rows and columns in the order of ``node_numbers``.
     """
     basis_overlap_form = (
         ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * both_faces_measure
@@ -349,10 +351,10 @@ def _find_patch_nodes_and_shares(
 
 
 def _select_distant_points(points: np.ndarray, n_points: int) -> np.ndarray:
-    """Select points far from each other, by index: (n_points,) int, ascending.
+    """Select ``n_points`` points far from each other among ``points`` (n, d).
 
     The first choice is the last point. Each further choice is the point farthest from the selected
-    points.
+    points. Returns the indices of the selected points in ascending order: (n_points,).
     """
     selected_indices, distances_to_selected = [len(points) - 1], np.full(len(points), np.inf)
     while len(selected_indices) < n_points:
@@ -364,13 +366,21 @@ def _select_distant_points(points: np.ndarray, n_points: int) -> np.ndarray:
 
 
 def _rotate_nodal_vectors_90_degrees(columns: Any) -> sparse.csr_matrix:
-    """Rotate m fields of plane nodal vectors by a right angle: (2 n_nodes, m)."""
+    """Rotate the plane vectors at nodes by a right angle, anticlockwise.
+
+    Each of the m ``columns`` (2 n_nodes, m) holds x and y of a vector at every node. The result has
+    the same shape.
+    """
     rotation = sparse.kron(sparse.eye(columns.shape[0] // 2), [[0.0, -1.0], [1.0, 0.0]])
     return rotation.tocsr() @ columns
 
 
 def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
-    """Select the rows of this rank's free dofs and drop stored zeros: (n_local, m)."""
+    """Select the rows of this rank's free dofs from a sparse matrix.
+
+    ``columns`` (n_owned_dofs, m) has a row for each dof of this rank, clamped dofs included. The
+    result (n_local, m) stores no zeros.
+    """
     free_rows_matrix = sparse.csr_matrix(columns.tocsr()[dofs.free_dofs])
     free_rows_matrix.eliminate_zeros()
     return free_rows_matrix
@@ -389,7 +399,7 @@ def _assemble_nodal_gap_columns(
     Parameters
     ----------
     dofs : Dofs
-        Dofs of the mesh.
+        The mesh's dofs.
     thickness : ufl expression [m]
         Thickness t of the plate.
     both_faces_measure : ufl.Measure
@@ -441,9 +451,9 @@ def _assemble_pressure_gap_columns(
     Parameters
     ----------
     dofs : Dofs
-        Dofs of the mesh.
+        The mesh's dofs.
     thickness : ufl expression [m]
-        Thickness t of a plate, 1 for a solid.
+        A plate's thickness t, 1 for a solid.
     both_faces_measure : ufl.Measure
         Measure ds for integrals over both crack faces.
 
@@ -649,8 +659,9 @@ def assemble_force_watched_and_clamp(scene: Scene, structure: Structure) -> dict
     Returns
     -------
     dict
-        Fields of :class:`Body`: "force", load (2K+1, n_local) [N]; "watched", vector whose product
-        with the displacement is reported, or None; "clamp", data for the reaction at the clamp.
+        Fields of :class:`Body`, by name. "force" is the load (2K+1, n_local) [N]: mean, then cosine
+        and sine parts up to the order K. "watched" is a vector (n_local,) or None; results report
+        its product with the displacement. "clamp" has the data for the reaction at the clamp.
     """
     dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
     _, mass_form = _make_stiffness_and_mass_forms(scene, dofs.space)
@@ -666,9 +677,10 @@ def assemble_force_watched_and_clamp(scene: Scene, structure: Structure) -> dict
 
 
 def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
-    """Assemble a scene's structure without rotation, and the dofs of the mesh (collective).
+    """Assemble a scene's structure without rotation (collective).
 
-    For a bladed disk the structure is a single sector with free sides.
+    Returns the structure and the dofs of the mesh. For a bladed disk the structure is a single
+    sector with free sides.
     """
     begin_stage("mesh")
     part_mesh = build_plate_or_solid_mesh(scene, comm)

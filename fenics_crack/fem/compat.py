@@ -131,10 +131,23 @@ def _quiet_compiler_context() -> Iterator[None]:
 
 @_quiet_compiler_context()
 def _compile(comm: MPI.Comm, form: Any, make_object: Callable[..., Any], *arguments: Any) -> Any:
-    """Create a DOLFINx object that compiles ``form``, a form or element (collective).
+    """Make a DOLFINx object whose constructor compiles C code (collective).
 
-    ``make_object(*arguments, jit_options=...)`` is the constructor. A compiled form is loaded from
-    the cache if possible.
+    The compiled code is loaded from the cache if possible.
+
+    Parameters
+    ----------
+    comm : MPI.Comm
+        Ranks that make the object together.
+    form : ufl form or element
+        Form or element to compile. Used to find the code in the cache.
+    make_object : callable
+        Constructor, called as ``make_object(*arguments, jit_options=...)``.
+
+    Returns
+    -------
+    Any
+        Result of the constructor.
     """
     cache_key = ffcx.naming.compute_signature(
         [form], str((_OPTIONS, PETSc.ScalarType, sys.implementation))
@@ -204,16 +217,15 @@ def assembled_vector(form: Any) -> np.ndarray:
 def evaluate_basis(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Evaluate the basis functions of a function space at a point (d,) [m].
 
-    ``order`` is the polynomial order of the space.
-
-    Both results are empty if this rank owns no cell with the point.
+    ``order`` is the polynomial order of the space. If no cell of this rank has the point, both
+    results are empty.
 
     Returns
     -------
     nodes : (k,) int
-        Local numbers of the nodes in a cell with the point.
+        Nodes of a cell with the point, as this rank's local numbers.
     basis_values : (k,)
-        Values of these nodes' basis functions at the point.
+        Value of each node's basis function at the point.
     """
     mesh = space.mesh
     dimension = mesh.topology.dim
@@ -289,9 +301,10 @@ def constrained_dof_mask(space: Any, conditions: Any) -> np.ndarray:
 
 
 def facet_corner_nodes(mesh: Any, facets: np.ndarray) -> np.ndarray:
-    """Return the geometry nodes at facet corners, in cyclic order: (n, k) int.
+    """Return the nodes at the corners of facets, in cyclic order: (n, k) int.
 
-    ``facets`` (n,) and nodes are local numbers. k is 2 for edges, 3 or 4 for facets of solids.
+    ``facets`` (n,) are local numbers of facets. The results are local numbers of the mesh
+    geometry's nodes. k is 2 for edges of a plate, 3 or 4 for facets of a solid.
     """
     topology, dimension = mesh.topology, mesh.topology.dim
     for connected_dimensions in (
@@ -313,7 +326,10 @@ def facet_corner_nodes(mesh: Any, facets: np.ndarray) -> np.ndarray:
 
 
 def geometry_dofmap(mesh: Any) -> np.ndarray:
-    """Return the local geometry nodes of each local cell: (n_cells, n_nodes) int."""
+    """Return the nodes of each of this rank's cells: (n_cells, n_nodes) int.
+
+    Nodes are local numbers of the mesh's geometry, as rows of ``mesh.geometry.x``.
+    """
     dofmap = mesh.geometry.dofmap
     if isinstance(dofmap, np.ndarray):
         return dofmap
@@ -321,12 +337,12 @@ def geometry_dofmap(mesh: Any) -> np.ndarray:
 
 
 def vtk_cells_and_type(space: Any) -> tuple[np.ndarray, int]:
-    """Return this rank's cells with nodes in VTK's order, for pictures.
+    """Return this rank's cells with nodes in VTK's order. Used for pictures.
 
     Returns
     -------
     cells : (n_cells, n_nodes) int
-        Local nodes of the function space.
+        Nodes of each cell, as local numbers of the function space.
     vtk_type : int
         VTK's number of the cell type; 0 if there are no cells.
     """

@@ -103,8 +103,9 @@ class CrackPath:
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Return a point below and a point above a given point on the crack [m].
 
-        Both results are 1e-3 of the crack's length from the given point. With 1e-6 of the length as
-        tolerance, the result is None if the given point is off the crack or at a tip.
+        Used to propose a point on either crack face in an error message. Both results lie 1e-3 of
+        the crack's length away. The result is None if the given point is at a tip, or farther from
+        the crack than 1e-6 of the length.
         """
         (distance_to_crack,), (arc_length,) = self.find_distances_and_positions(np.array([point]))
         path_length = float(self.corner_arc_lengths[-1])
@@ -134,7 +135,7 @@ class CrackSurface:
     front_chords : (m, 2, 3) [m]
         End points of element edges along the front. Empty if the crack separates two bodies.
     has_mouth : bool
-        True if the crack reaches the surface of the solid.
+        True if the crack reaches the solid's surface.
     """
 
     triangles: np.ndarray
@@ -185,8 +186,9 @@ class CrackSurface:
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Return a point below and a point above a given point on the crack [m].
 
-        Both results are 1e-3 of the crack's size from the given point. With 1e-6 of the size as
-        tolerance, the result is None if the given point is off the crack or on a front.
+        Used to propose a point on either crack face in an error message. Both results lie 1e-3 of
+        the crack's size away. The result is None if the given point is on a front, or farther from
+        the crack than 1e-6 of the size.
         """
         from fenics_crack.fem.solid_mesher import point_to_triangle_distances  # it imports gmsh
 
@@ -200,8 +202,8 @@ class CrackSurface:
 def size_weighted_normals(facets: np.ndarray) -> np.ndarray:
     """Return a normal for each edge (n, 2, 2) or triangle (n, 3, 3): (n, 2) or (n, 3).
 
-    A normal's length is the edge's length, or twice the triangle's area. The direction follows the
-    order of corners.
+    ``facets`` [m] are the corner positions. A normal's length is the edge's length [m], or twice
+    the triangle's area [m^2]. The direction follows the order of corners.
     """
     sides = facets[:, 1:] - facets[:, :1]
     if facets.shape[2] == 2:
@@ -381,9 +383,9 @@ def count_equal_rows(rows: np.ndarray) -> np.ndarray:
 
 
 def are_rows_in(node_rows: np.ndarray, other_node_rows: np.ndarray) -> np.ndarray:
-    """Return True for each row of ``node_rows`` that ``other_node_rows`` have, too: (n,) bool.
+    """Return True for each row of ``node_rows`` that ``other_node_rows`` has, too: (n,) bool.
 
-    The order of nodes in a row does not matter.
+    A row has k nodes, in any order. The arrays are (n, k) and (m, k).
     """
     _, unique_row_of_row, _ = find_unique_rows(np.concatenate([other_node_rows, node_rows]))
     return np.asarray(
@@ -408,7 +410,7 @@ def find_crack_paths(
     lower_edges, upper_edges : (n, 2) int
         Nodes of each edge on the lower and upper faces.
     positions : (n_nodes, 2) [m]
-        Positions of all nodes.
+        Node positions.
 
     Raises
     ------
@@ -454,10 +456,18 @@ def find_crack_paths(
 def _check_cracks_do_not_branch(
     edges: np.ndarray, tip_nodes: np.ndarray, positions: np.ndarray
 ) -> None:
-    """Raise InputError if a crack branches: more than two edges of a face meet at a node.
+    """Raise InputError if more than two edges of a crack face meet at a node.
 
-    ``edges`` (n, 2) are the nodes of each edge, ``positions`` (n_nodes, 2) [m] of all nodes.
-    ``tip_nodes``, at which both faces meet, are allowed.
+    The crack would branch or cross another crack there.
+
+    Parameters
+    ----------
+    edges : (n, 2) int
+        Nodes of each edge on one face of all cracks.
+    tip_nodes : (m,) int
+        Nodes shared by both faces. At these nodes any number of edges may meet.
+    positions : (n_nodes, 2) [m]
+        Node positions.
     """
     edge_nodes, n_edges_at_nodes = np.unique(edges, return_counts=True)
     for edge_node, n_node_edges in zip(edge_nodes, n_edges_at_nodes, strict=True):
@@ -504,7 +514,7 @@ def find_crack_surfaces(
     lower_facets, upper_facets : (m, k), (m', k) int
         Corner nodes of the facets on each face. Both faces share only nodes on fronts.
     positions : (n_nodes, 3) [m]
-        Positions of all nodes.
+        Node positions.
     """
     polygon_edges, edge_facet_counts = np.unique(
         _edges_of_polygons(lower_facets), axis=0, return_counts=True
@@ -567,14 +577,16 @@ class Cells:
     def sorted_facets_and_owners(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the facets of all cells, sorted so that equal facets are neighbours.
 
+        A facet between two cells occurs twice, a facet on the boundary once.
+
         Returns
         -------
         facets : (n, m) int
             Corner nodes of each facet, in ascending order.
         owner : (n,) int
-            Cell with the facet.
+            Cell that has the facet.
         local_corners : (n, m) int
-            Columns in ``cell_nodes`` with these corners.
+            For each corner, the column in ``cell_nodes`` of the owner.
         """
         facet_corners = self.cell_nodes[:, self.facet_corner_columns].reshape(
             -1, self.facet_corner_columns.shape[1]
@@ -593,13 +605,20 @@ class Cells:
 
     @cached_property
     def is_facet_equal_to_next(self) -> np.ndarray:
-        """Return True for each sorted facet equal to the next, inside the mesh: (n - 1,) bool."""
+        """Return True for each facet that equals the next facet: (n - 1,) bool.
+
+        The facets are in the order of ``sorted_facets_and_owners``. Equal facets belong to two
+        cells.
+        """
         facets = self.sorted_facets_and_owners[0]
         return np.asarray(np.all(facets[1:] == facets[:-1], axis=1))
 
     @cached_property
     def is_boundary_facet(self) -> np.ndarray:
-        """Return True for each sorted facet with a single cell, on the boundary: (n,) bool."""
+        """Return True for each facet of a single cell, on the mesh's boundary: (n,) bool.
+
+        The facets are in the order of ``sorted_facets_and_owners``.
+        """
         is_shared = np.concatenate([[False], self.is_facet_equal_to_next, [False]])
         return ~(is_shared[1:] | is_shared[:-1])
 
@@ -607,10 +626,17 @@ class Cells:
 def merge_crack_nodes(
     crack_facets: np.ndarray, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Merge coincident nodes along cracks, before :func:`split_cracks` doubles nodes.
+    """Merge coincident nodes along cracks, so that every crack node is single.
 
-    gmsh's plugin "Crack" may have doubled nodes already. ``crack_facets`` (m, k) are nodes of the
-    cracks' facets, ``positions`` (n_nodes, d) [m] belong to all nodes.
+    gmsh's plugin "Crack" may have doubled nodes already; :func:`split_cracks` needs a mesh without
+    doubled nodes.
+
+    Parameters
+    ----------
+    crack_facets : (m, k) int
+        Nodes of the facets on all cracks.
+    positions : (n_nodes, d) [m]
+        Node positions.
 
     Returns
     -------
@@ -645,7 +671,7 @@ def split_cracks(
     crack_facets : (m, k) int
         Nodes of the facets of all cracks, corners first.
     positions : (n_nodes, d) [m]
-        Positions of all nodes.
+        Node positions.
 
     Returns
     -------
@@ -742,9 +768,10 @@ def split_cracks(
 
 
 def check_mesh(is_mesh_valid: object, problem_text: str, requirement: str) -> None:
-    """Raise InputError for the key "mesh" unless a condition holds.
+    """Raise InputError for the key "mesh" if ``is_mesh_valid`` is false.
 
-    ``problem_text`` says what the mesh has, ``requirement`` what is allowed.
+    The error's texts are ``problem_text``, the fault in the mesh, and ``requirement``, the allowed
+    meshes.
     """
     if not is_mesh_valid:
         raise InputError("mesh", problem_text, requirement)
@@ -757,10 +784,25 @@ def _edges_of_polygons(polygons: np.ndarray) -> np.ndarray:
 
 
 def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) -> np.ndarray:
-    """Return the edges on crack fronts (n, 2); for a plate, the nodes at tips (n, 1).
+    """Return the edges on crack fronts of a solid, or the nodes at crack tips of a plate.
 
-    An edge is on a front if a single crack facet has it and no boundary facet. Likewise a node is
-    a tip. InputError if more than two crack facets meet at an edge or node.
+    An edge is on a front if a single crack facet and no facet of the mesh's boundary has the edge.
+    A tip is found in the same way from nodes.
+
+    Parameters
+    ----------
+    crack_facets, boundary_facets : (n, k), (m, k) int
+        Corner nodes of the facets on cracks, and of the facets on the mesh's boundary.
+
+    Returns
+    -------
+    (n_edges, 2) or (n_tips, 1) int
+        Nodes of each edge in a solid, or node of each tip in a plate.
+
+    Raises
+    ------
+    InputError
+        More than two crack facets meet at an edge or node.
     """
     n_corners = crack_facets.shape[1]
     edges_or_nodes = (
@@ -785,18 +827,20 @@ def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) 
 def _label_corner_stars(
     cells: Cells, is_passable: np.ndarray, is_split_node: np.ndarray
 ) -> np.ndarray:
-    """Label the corners of all cells, such that equal labels stay a single node.
+    """Label the corners of all cells; corners with equal labels keep a common node.
 
-    At a node to be doubled, two cells' corners have the same label if a chain of cells connects
-    both cells. All cells in the chain have the node. Neighbours in the chain share a facet with the
-    node, off the cracks. At all other nodes every corner has a different label.
+    Used to split a mesh along cracks. At a node to be doubled, cells on opposite sides of the crack
+    get different labels. Two cells get the same label if a chain of cells around the node connects
+    them. Neighbours in the chain share a facet that has the node and is not on a crack. At all
+    other nodes every corner has a different label.
 
     Parameters
     ----------
     cells : Cells
-        Cells of the mesh.
+        The mesh's cells.
     is_passable : (n_facets - 1,) bool
-        True for a facet between two cells and off the cracks, in the order of the sorted facets.
+        True for a facet between two cells that is not on a crack. Facets are in the order of
+        ``cells.sorted_facets_and_owners``.
     is_split_node : (n_nodes,) bool
         True for nodes to be doubled.
 

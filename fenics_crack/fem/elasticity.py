@@ -103,22 +103,27 @@ def assemble_rotation(
 ) -> Rotation:
     """Assemble centrifugal load and rotational stiffness for a structure (collective).
 
-    The result has the scene's speed, and matrices and centrifugal load at 1 rad/s. K_1 is stress
-    stiffening less spin softening. K_2 and K_3 are the stiffness because rotation displaces the
-    structure.
+    At the speed W [rad/s], the stiffness is K + W^2 (K_1 + K_2) + W^4 K_3, with the stiffness K at
+    rest. K_1 is stress stiffening less spin softening. K_2 and K_3 arise because the centrifugal
+    load displaces the structure.
 
     Parameters
     ----------
     scene : Scene
         Scene with a table ``[rotation]``.
     dofs : Dofs
-        Free dofs of the mesh.
+        The mesh's free dofs.
     structure_at_rest : Structure
         Structure without rotation.
     solve_static : callable, optional
-        For a sector of a bladed disk: function that takes a load (n_local, 1), equal on each
-        sector, and returns the static displacement. Default: the structure is solved, with rigid
+        Only for a sector of a bladed disk: function from a load (n_local, 1), equal on each sector,
+        to the static displacement (n_local, 1). Default: solve ``structure_at_rest`` with rigid
         contact.
+
+    Returns
+    -------
+    Rotation
+        Scene's speed, with K_1, K_2, K_3 and the centrifugal load at 1 rad/s.
     """
     space, dimension = dofs.space, scene.dimension
     axis_point, axis_direction = scene.axis_point_and_direction

@@ -102,11 +102,22 @@ def structure_from_forms(
 def _assemble_parts_and_places(
     space: Any, bilinear_forms: dict[str, Any], bcs: Any, loads: Any, crack: Any, thickness: float
 ) -> tuple[Any, ...]:
-    """Assemble matrices, loads, gaps, nodes and contact pairs from forms (collective).
+    """Assemble matrices, loads, gaps, nodes and contact pairs from UFL forms (collective).
 
-    ``bilinear_forms`` has the forms "stiffness", "mass" and, if given, "damping", on the ``space``.
-    ``bcs`` are the boundary conditions. ``loads`` are linear forms (mean, sin, cos), or None.
-    ``crack`` is (facet_tags, lower, upper), or None. ``thickness`` [m] is a plate's, for the areas.
+    Parameters
+    ----------
+    space : dolfinx.fem.FunctionSpace
+        Space of displacements.
+    bilinear_forms : dict of str to ufl.Form
+        Forms by name: "stiffness", "mass" and, if given, "damping".
+    bcs : list of dolfinx.fem.DirichletBC
+        Boundary conditions with value zero.
+    loads : (mean, sin, cos) or None
+        Linear forms for the load's mean, sine and cosine part; None for a zero part or no load.
+    crack : (facet_tags, lower, upper) or None
+        Tags of the mesh's facets, and the tags of the lower and the upper crack faces.
+    thickness : float [m]
+        A plate's thickness, for the areas of contact pairs.
 
     Returns
     -------
@@ -193,9 +204,10 @@ def _check_space(space: Any) -> None:
 
 
 def _check_form(space: Any, key: str, form: Any, n_arguments: int) -> None:
-    """Raise InputError for ``key`` unless a form has ``n_arguments`` arguments on a space.
+    """Raise InputError unless ``form`` is a UFL form with ``n_arguments`` arguments.
 
-    A linear form has 1 argument, a bilinear form 2.
+    A linear form has 1 argument, a bilinear form 2. All arguments must be on the function space
+    ``space``. The error names ``key``, as "stiffness".
     """
     with report_read_errors(
         key,

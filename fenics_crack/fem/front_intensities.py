@@ -68,9 +68,9 @@ def front_functionals(
 ) -> tuple[list[Station], np.ndarray, np.ndarray]:
     """Return the stations of all fronts, and the factors for K_I, K_II and K_III (collective).
 
-    Stress intensities are computed at stations, points on the front. Stations at corners of a front
-    are left out. The stress intensities are ``of_displacement`` times the displacement plus
-    ``of_forces`` times the contact forces.
+    Stations are points on a crack front at which the stress intensities K_I, K_II and K_III are
+    computed. Stations at corners of a front are left out. With the displacement u and the contact
+    forces lambda, the stress intensities are ``of_displacement`` u + ``of_forces`` lambda.
 
     Parameters
     ----------
@@ -82,10 +82,11 @@ def front_functionals(
     Returns
     -------
     stations : list of Station
+        Stations, front after front.
     of_displacement : (3 n_stations, n_local) [Pa m^1/2 / m]
-        Factors of this rank's displacement in K_I, K_II and K_III, station after station.
+        Factors of this rank's displacement u. Each station has three rows: K_I, K_II and K_III.
     of_forces : (3 n_stations, n_pairs) [Pa m^1/2 / N]
-        Factors of the pairs' contact forces, in the same order of rows.
+        Factors of the pairs' contact forces lambda, in the same order of rows.
 
     Raises
     ------
@@ -160,9 +161,10 @@ def _values_at_free_dofs(
 
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
-    """Return a front's stations: points for stress intensities.
+    """Return a front's stations, the points at which stress intensities are computed.
 
-    Each has a name, position and growth direction, and the contact pairs at the front nearby.
+    Each station has a name, position and growth direction, and the indices of the contact pairs at
+    the front nearby.
     """
     pairs = structure.pairs
     is_node_in_hats = front.hats_and_slopes(front.node_parameters)[0] > 0.0
@@ -225,12 +227,19 @@ def _check_front_is_resolved(front: Front) -> None:
 def _rows_by_station(front: Front, functional_rows: np.ndarray) -> np.ndarray:
     """Arrange the factors for K_I, K_II and K_III by station: (n_stations, 3, m).
 
-    ``functional_rows`` (3 n_stations, m) has all stations for K_I, then for K_II, then for K_III.
-    The m columns are dofs or contact pairs. A row gives the mean of a stress intensity, weighted by
-    the station's hat function. A hat is 1 at the station and falls to 0 at the neighbours.
+    Stations are points along the front. A row of factors gives the mean of a stress intensity
+    around its station. The mean is weighted by a hat function, 1 at the station and 0 at the
+    neighbours.
 
     At an end of an open front there is only half a hat, so the mean belongs to a point inside. With
     three stations or more, the rows of an end station are extrapolated linearly from the last two.
+
+    Parameters
+    ----------
+    front : Front
+        Front with the stations.
+    functional_rows : (3 n_stations, m)
+        Factors of m dofs or contact pairs: all stations for K_I, then for K_II, then for K_III.
     """
     rows_by_mode = functional_rows.reshape(3, len(front.station_parameters), -1)
     rows_by_station = rows_by_mode.swapaxes(0, 1).copy()
@@ -265,9 +274,10 @@ def _collapsed_gauss_rule(dimension: int, n_side_points: int) -> tuple[np.ndarra
 
 
 def _split_into_chunks(cells: np.ndarray, n_cell_points: int) -> list[np.ndarray]:
-    """Split cell indices into chunks with at most about ``MAX_POINTS_IN_MEMORY`` points.
+    """Split cell indices (n,) into a list of arrays, to limit the memory for integration.
 
-    Each cell has ``n_cell_points`` quadrature points.
+    Each array has at most about ``MAX_POINTS_IN_MEMORY`` quadrature points. A cell has
+    ``n_cell_points``.
     """
     return np.array_split(cells, 1 + len(cells) * n_cell_points // MAX_POINTS_IN_MEMORY)
 
@@ -280,8 +290,9 @@ class _IntegrationDomain:
     """Cells around a front, over which the interaction integral is computed.
 
     The interaction integral I is linear in the displacement and gives the stress intensities.
-    Equations are in the module's docstring. Each of the 3 n_stations rows belongs to a mode and a
-    station. First come all stations for K_I, then for K_II, then for K_III.
+    Equations are in the module's docstring. There is an integral for each mode (K_I, K_II, K_III)
+    and each station, a point on the front. So arrays have 3 n_stations rows: all stations for K_I,
+    then for K_II, then for K_III.
 
     Attributes
     ----------
@@ -296,13 +307,13 @@ class _IntegrationDomain:
     corners_sorted_by_front_distance : (n_cells, 4) int
         Columns 0 to 3 of ``cells``, sorted by the corners' distance from the front.
     corner_positions : (n_cells, 4, 3) [m]
-        Positions of the corners in this order.
+        Positions of the corners, sorted by the distance from the front.
     is_facet_of_single_cell : (n_cells, 4) bool
-        True if the facet opposite a corner, in this order, belongs to a single cell.
+        For each sorted corner: True if no other cell has the facet opposite the corner.
     volumes : (n_cells,) [m^3]
         Volume of each cell.
     barycentric_gradients : (n_cells, 4, 3) [1/m]
-        Gradients of the barycentric coordinates, of corners in this order.
+        Gradient of each sorted corner's barycentric coordinate.
     side_signs : (n_cells,)
         1 if the cell's centre is above the crack, -1 if below.
     """
@@ -364,9 +375,10 @@ class _IntegrationDomain:
     def _basis_gradients(self, cell_indices: np.ndarray) -> np.ndarray:
         """Differentiate the cells' quadratic basis functions N_a: (n, 10, 4, 3) [1/m].
 
-        The result D has grad N_a = sum_b D_ab lambda_b, with the barycentric coordinates lambda_b.
-        a follows the cell's nodes, b the order of ``corner_positions``. ``cell_indices`` (n,)
-        selects cells.
+        A gradient is linear in the cell. So the result D has grad N_a = sum_b D_ab lambda_b, with
+        the barycentric coordinate lambda_b of corner b. Axis 1 (a) follows the cell's 10 nodes.
+        Axis 2 (b) follows the corners in ``corner_positions``. Axis 3 is x, y, z. ``cell_indices``
+        (n,) selects the cells.
         """
         inverse_corner_order = self.corners_sorted_by_front_distance[cell_indices].argsort(axis=1)
         barycentric_gradients = np.take_along_axis(
@@ -394,18 +406,20 @@ class _IntegrationDomain:
     def find_displacement_factors_and_fields(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
         """Compute the factors of nodal displacements and nodal forces in K (collective).
 
-        K is K_I, K_II or K_III at a station. Each rank integrates over a part of the cells; the
-        results are equal on all ranks.
+        K stands for K_I, K_II or K_III at a station. Each rank integrates over a part of the cells;
+        the results are equal on all ranks.
 
         Returns
         -------
         displacement_factors : (n_nodes, 3 n_stations, 3) [Pa m^1/2 / m]
-            Factors of the nodes' displacements in K.
+            Factors of the nodes' displacements along x, y, z. Axis 1: all stations for K_I, then
+            for K_II, then for K_III.
         nodal_fields : (n_nodes, 3 n_stations, 3)
-            Field w = q h a_,1 at the nodes. q is a weight, 1 near the front and 0 at the domain's
-            border, and h is the station's hat function. a is the displacement field with unit K,
-            and a_,1 its derivative along e_1, ahead of the crack. Nodal forces f add -w . f to the
-            interaction integral.
+            Field w = q h a_,1 at the nodes, with the same axes. Forces f at the nodes add -w . f to
+            the interaction integral. q is a weight, 1 near the front and 0 at the domain's border.
+            h is the station's hat function, 1 at the station and 0 at the neighbours. a is the
+            displacement field with K = 1, and a_,1 the derivative in the direction ahead of the
+            crack.
         """
         n_rows = 3 * len(self.front.station_parameters)
         displacement_factors, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
@@ -503,12 +517,12 @@ class _IntegrationDomain:
         xi, y, r : (n, m) [m]
             Coordinates along e_1 and e_2, and distance from the front.
         hat, hat_slope : (n, m, n_stations)
-            Hat functions, 1 at a station and 0 at its neighbours, and the derivatives by the length
-            along the front.
+            Hat functions, 1 at a station and 0 at the neighbours, and their derivatives by the
+            length along the front.
         curvature, curvature_slope : (n, m) [1/m], [1/m^2]
             Front curvature, and the derivative by the length along the front.
         domain_radius : (n, m) [m]
-            Integration domain's radius.
+            Radius of the integration domain around the front.
         """
         front = self.front
         t = front.nearest_parameters(positions)
@@ -537,11 +551,15 @@ class _IntegrationDomain:
     def _weighted_nodal_fields(self, cell_indices: np.ndarray) -> np.ndarray:
         """Return the fields w = q h a_,1 at the cells' nodes: (n, 10, 3 n_stations, 3).
 
-        q is a weight, 1 near the front and 0 at the domain's border, and h is the station's hat
-        function. a is the displacement field with unit stress intensity, and a_,1 its derivative
-        along e_1, ahead of the crack. ``cell_indices`` (n,) selects cells. w is 0 at all nodes of
-        edges along the front. A straight edge cuts the curved front short, so the edge's middle is
-        on neither crack side.
+        Used to add the nodal forces to the interaction integral. q is a weight, 1 near the front
+        and 0 at the domain's border. h is the station's hat function, 1 at the station and 0 at the
+        neighbours. a is the displacement field with K_I, K_II or K_III = 1. a_,1 is its derivative
+        in the direction ahead of the crack.
+
+        ``cell_indices`` (n,) selects the cells. Axis 1 follows the nodes of a cell. Axis 2 has all
+        stations for K_I, then for K_II, then for K_III. Axis 3 is x, y, z. At all nodes of edges
+        along the front, w is 0: a straight edge cuts the curved front short, so its middle is on
+        neither side of the crack.
         """
         node_positions = self.points[self.cells[cell_indices]]
         frame_vectors, xi, y, r, hat, _, _, _, domain_radius = self._front_coordinates(
@@ -728,26 +746,29 @@ class _IntegrationDomain:
     ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
         """Return the factor T of grad u in the volume integral of K_I, K_II or K_III.
 
-        For each station, T is the station's hat function times a tensor, plus the hat's slope times
-        another tensor. a is the displacement field with unit K_I, K_II or K_III. e_1 points ahead
-        of the crack, e_2 is normal to it, and e_3 is along the front. xi and y are the coordinates
-        along e_1 and e_2.
+        The volume integral is int T : grad u dV with the displacement u. For each station, T is the
+        sum of two products: hat function times a first tensor, and hat slope times a second tensor.
+        The hat function is 1 at the station and 0 at the neighbours.
+
+        Components refer to e_1 ahead of the crack, e_2 normal to it, and e_3 along the front. xi
+        and y are the coordinates along e_1 and e_2. a is the displacement field with K_I, K_II or
+        K_III = 1.
 
         Parameters
         ----------
         a, da_dxi, da_dy : (3, ...)
             Components of a, and their derivatives by xi and y.
         gradient, auxiliary_stress : (..., 3, 3)
-            Gradient and stress of a in the frame e_1, e_2, e_3.
+            Gradient of a, and the stress of a.
         weights_and_geometry : tuple of arrays
-            Weight q, 1 near the front and 0 at the domain's border; gradient of q; metric g = 1 +
-            kappa xi with the front's curvature kappa; kappa / g; derivative of kappa along the
-            front; hats; hat slopes.
+            Seven arrays, in this order: weight q, 1 near the front and 0 at the domain's border;
+            gradient of q; metric g = 1 + kappa xi with the front's curvature kappa; kappa / g;
+            derivative of kappa along the front; hat functions; hat slopes.
 
         Returns
         -------
         list of ((..., n_stations), (..., 3, 3))
-            Hats with the first tensor, then hat slopes with the second tensor.
+            Two pairs: hat functions and first tensor, then hat slopes and second tensor.
         """
         q, q_gradient, metric_factor, curvature_over_metric, curvature_slope, hat, hat_slope = (
             weights_and_geometry
@@ -795,9 +816,10 @@ class _IntegrationDomain:
 def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
     """Return factors of the contact forces in K_I: (n_stations, n_pairs) [Pa m^1/2 / N].
 
-    Each pair's contact force acts as a pressure on the crack faces, distributed by the pair's
-    pressure function. The factors are the pressure's term in the interaction integral, which gives
-    K_I.
+    K_I at a station is a sum over the pairs of factor times contact force, plus a part from the
+    displacement. Each contact force acts as a pressure on the crack faces, distributed by the
+    pair's pressure function. The factor is this pressure's term in the interaction integral.
+    ``front`` has the stations.
     """
     pairs = structure.pairs
     assert pairs.nodes is not None and pairs.pressure_matrix is not None and pairs.areas is not None

@@ -71,7 +71,7 @@ class Front:
     is_closed : bool
         True if the front has no ends.
     ends_at_surface : tuple of bool
-        True for each end at the surface of the solid. Other ends are corners of the front.
+        True for each end at the solid's surface. Other ends are corners of the front.
     allowed_domain_radius : float [m]
         Stress intensities are integrals over a domain around the front. Upper bound for the
         domain's radius: 0.8 times the distance from the clamp or another crack.
@@ -91,9 +91,10 @@ class Front:
     def hat_peak_parameters(self) -> np.ndarray:
         """Return the curve parameters t at the peaks of the hat functions, equally spaced: (n,).
 
-        A hat is 1 at its peak and falls linearly in t to 0 at the neighbouring peaks.
+        A hat is 1 at its peak and falls linearly in t to 0 at the neighbouring peaks. Peaks are the
+        stations, the points for stress intensities.
 
-        On a closed front the last value is the first peak again, a turn later, so n is the number
+        On a closed front the last value is the first peak again, a turn later. So n is the number
         of stations plus 1. An open front with two intervals or more has a peak in the middle, where
         a half-ellipse is deepest.
         """
@@ -123,9 +124,10 @@ class Front:
 
     @property
     def corner_station_indices(self) -> list[int]:
-        """Return the indices of stations at corners of the crack front, where K is undefined.
+        """Return the indices of stations at corners of the crack front.
 
-        A corner ends this smooth part of the front inside the solid.
+        Stress intensities are undefined at a corner, so the stations are left out of results. A
+        corner is an end of this smooth part of the front, inside the solid.
         """
         if self.is_closed:
             return []
@@ -169,17 +171,16 @@ class Front:
     def frame_and_curvature(
         self, t: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the front's unit vectors, speed ds/dt and curvature at curve parameters t (...).
+        """Return the front's unit vectors, parameter speed and curvature at parameters t (...).
 
         Returns
         -------
         frame_vectors : (..., 3, 3)
             Rows: unit vectors e_1 ahead of the crack, e_2 normal to it, e_3 along the front.
         speed : (...,)
-            Front length per parameter, ds/dt.
+            ds/dt with the length s along the front.
         curvature, curvature_slope : (...,) [1/m], [1/m^2]
-            Curvature, positive if the crack is convex, and the derivative by the length s along
-            the front.
+            Curvature, positive if the crack is convex, and the derivative by s.
         """
         first_derivative, second_derivative, third_derivative = (
             self.curve_function(t, order) for order in (1, 2, 3)
@@ -205,27 +206,31 @@ class Front:
 
     @cached_property
     def straight_domain_radius(self) -> float:
-        """Return the radius [m] of the domain around a straight front for stress intensities.
+        """Return the radius [m] of the integration domain, without the limit by curvature.
 
-        The radius is 2 of the longest front elements, at most ``allowed_domain_radius``.
+        Stress intensities are integrals over a domain around the front. The radius is twice the
+        length of the front's longest element, at most ``allowed_domain_radius``.
         """
         max_edge_length = np.linalg.norm(np.diff(self.node_positions, axis=0), axis=1).max()
         return float(min(RADIUS_IN_ELEMENTS * max_edge_length, self.allowed_domain_radius))
 
     def is_limited_by_curvature(self, curvature: np.ndarray) -> np.ndarray:
-        """Return True if a front's curvature [1/m] limits the integration domain: same shape.
+        """Return True where the front's curvature limits the integration domain.
 
         Stress intensities are integrals over a domain around the front. The domain's radius is at
-        most 0.6 times the radius of curvature.
+        most 0.6 times the front's radius of curvature. ``curvature`` [1/m] may have any shape; the
+        result has the same shape.
         """
         return np.asarray(
             np.abs(curvature) * self.straight_domain_radius > MAX_RADIUS_TO_CURVATURE_RADIUS
         )
 
     def domain_radius(self, curvature: np.ndarray) -> np.ndarray:
-        """Return the integration domain's radius [m] for front curvatures [1/m]: same shape.
+        """Return the radius [m] of the integration domain at points with given front curvatures.
 
-        The radius is ``straight_domain_radius``, at most 0.6 of the radius of curvature.
+        Stress intensities are integrals over this domain around the front. The radius is the
+        smaller of ``straight_domain_radius`` and 0.6 times the radius of curvature. ``curvature``
+        [1/m] may have any shape; the result has the same shape.
         """
         is_limited = self.is_limited_by_curvature(curvature)
         return np.where(
@@ -236,9 +241,11 @@ class Front:
 
     @cached_property
     def _sample_parameters_and_tree(self) -> tuple[np.ndarray, cKDTree]:
-        """Return sample points on the curve, eight for each node.
+        """Return sample points on the front's curve c(t), eight for each node of the front.
 
-        The results are the parameters t (n,), and a search tree with the positions.
+        Used to start the search for the nearest front point. The first result has the samples'
+        curve parameters t (n,). The second result is a search tree (cKDTree) with the samples'
+        positions [m].
         """
         t = np.interp(
             np.linspace(0, len(self.node_parameters) - 1, 8 * len(self.node_parameters)),
@@ -328,7 +335,7 @@ def _yield_smooth_front_parts(
     is_closed : bool
         True if the front has neither ends nor corners.
     ends_at_surface : tuple of bool
-        True for each end at the surface of the solid.
+        True for each end at the solid's surface.
     """
     triangle_corner_positions = crack.triangles.reshape(-1, 3)
     triangle_corner_tree = cKDTree(triangle_corner_positions)

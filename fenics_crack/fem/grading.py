@@ -56,9 +56,11 @@ class _GradedCrackFace:
     """Element lengths along a crack face, geometrically shorter towards a tip.
 
     The face of a crack with a mouth has ``mesh.lip_elements`` elements from the mouth to the tip. A
-    crack inside has two graded faces, each from the middle to a tip. Each has half of
-    ``mesh.lip_elements``, rounded up. ``length_over_next_from_tip`` is an element's length over the
-    length of the next element away from the tip.
+    crack inside the plate has two graded faces, each from the middle to a tip. Each has half of
+    ``mesh.lip_elements``, rounded up.
+
+    ``length_over_next_from_tip`` is the length ratio of two neighbouring elements, below 1. The
+    numerator is the element nearer to the tip.
     """
 
     def __init__(self, scene: Scene, coarse_end_position: float, tip_position: float) -> None:
@@ -80,7 +82,7 @@ class _GradedCrackFace:
             )
 
     def covers(self, start: float, stop: float) -> bool:
-        """Return True if the middle of an interval of positions [m] lies on the face."""
+        """Return True if the middle between ``start`` and ``stop`` [m] lies on the crack face."""
         return (
             min(self.coarse_end_position, self.tip_position)
             < 0.5 * (start + stop)
@@ -100,7 +102,10 @@ class _GradedCrackFace:
         )
 
     def count_elements(self, start: float, stop: float) -> float:
-        """Integrate 1 / element length over an interval: number of elements, not rounded."""
+        """Return how many elements of the graded lengths fit between two positions [m].
+
+        The number is the integral of 1 / element length from ``start`` to ``stop``, not rounded.
+        """
         element_length_at_start, element_length_at_stop = (
             self.element_length(start),
             self.element_length(stop),
@@ -184,9 +189,21 @@ def plate_pair_upper_bound(scene: Scene) -> int:
 def _intervals_with_equal_elements(
     side_length: float, n_elements: int, cut_positions: list[float]
 ) -> list[ElementInterval]:
-    """Divide a side into equal elements, and cut it into intervals at given positions.
+    """Divide a plate's side into equal elements, and group the elements into intervals.
 
-    ``side_length`` and ``cut_positions`` are in metres; the positions lie on grid lines.
+    Parameters
+    ----------
+    side_length : float [m]
+        Length of the side.
+    n_elements : int
+        Elements on the whole side.
+    cut_positions : list of float [m]
+        Positions at which an interval ends and the next one begins. Each lies between two elements.
+
+    Returns
+    -------
+    list of ElementInterval
+        Intervals from 0 to the side's length.
     """
     position_by_grid_line = {
         round(cut_position / side_length * n_elements): cut_position
@@ -228,7 +245,11 @@ def _graded_crack_faces(scene: Scene, crack: Crack) -> list[_GradedCrackFace]:
 
 
 def _graded_columns_and_rows(scene: Scene) -> tuple[list[ElementInterval], list[ElementInterval]]:
-    """Divide a plate into block columns and rows with short elements at tips and cracks."""
+    """Divide a plate into block columns and rows with short elements at tips and cracks.
+
+    Columns are divided at tips, rows at cracks. Without cracks the plate is a single block with
+    elements of length ``mesh.size``.
+    """
     (width, height), element_size = scene.geometry.sides, scene.mesh.given("size")
     if not scene.crack_by_name:
         columns, rows = (
@@ -256,18 +277,25 @@ def _intervals_with_graded_elements(
     faces: list[_GradedCrackFace],
     size: float,
 ) -> list[ElementInterval]:
-    """Divide a side into intervals with element lengths graded between given positions.
+    """Divide a plate's side into intervals with short elements at tips or cracks.
+
+    Used for the plate's width, with the tips on it, and for its height, with the cracks on it.
 
     Parameters
     ----------
     extent : float [m]
         Length of the side.
     tip_positions_and_element_lengths : list of (position, length) [m]
-        Tips on the side, or heights of cracks, with the element length there.
+        Position of each tip or crack on the side, and the element length there.
     faces : list of _GradedCrackFace
-        Crack faces along the side.
+        Crack faces along the side; empty for the height.
     size : float [m]
-        Element length elsewhere.
+        Element length far from tips and cracks.
+
+    Returns
+    -------
+    list of ElementInterval
+        Intervals from 0 to ``extent``.
     """
     # Closer positions are equal; cracks and tips are farther from the plate's edges.
     tolerance = MIN_RELATIVE_CELL_SIZE * extent
@@ -340,10 +368,10 @@ def _make_graded_element_interval(
     stop_length: float,
     faces: list[_GradedCrackFace],
 ) -> ElementInterval:
-    """Return an interval with geometrically graded elements.
+    """Return the interval from ``start`` to ``stop`` [m] with geometrically graded elements.
 
-    Element lengths are about ``start_length`` at ``start`` and ``stop_length`` at ``stop`` [m].
-    Each of the crack faces ``faces`` requires a minimum number of elements.
+    Element lengths change from about ``start_length`` to about ``stop_length`` [m]. If crack faces
+    ``faces`` lie along the interval, the elements are at least as many as on any of these faces.
     """
     min_length, max_length = sorted((start_length, stop_length))
     n_elements, growth_ratio = _graded_count_and_ratio(stop - start, min_length, max_length)
@@ -361,10 +389,11 @@ def _make_graded_element_interval(
 def _graded_count_and_ratio(
     interval_length: float, min_length: float, max_length: float
 ) -> tuple[int, float]:
-    """Return number and length ratio of geometrically growing elements on an interval.
+    """Return the number and the length ratio of elements that grow along an interval.
 
-    The ratio is an element's length over the previous length. The elements grow from about
-    ``min_length`` to about ``max_length``. No element is longer than half the interval.
+    Each element's length is the ratio times the previous length. The elements grow from about
+    ``min_length`` to about ``max_length``; no element is longer than half the interval. All lengths
+    have the same unit.
     """
     if min_length >= max_length:
         return math.ceil(interval_length / max_length), 1.0
@@ -380,7 +409,16 @@ def _graded_count_and_ratio(
 class PointGrading:
     """Element length h = min_length + length_per_distance d around a point.
 
-    d is the distance from the point (x, y). Lengths are in gmsh's unit.
+    d is the distance from the point. Lengths are in gmsh's unit.
+
+    Attributes
+    ----------
+    point : (float, float)
+        Coordinates x, y.
+    min_length : float
+        Element length at the point.
+    length_per_distance : float
+        Increase of the element length per distance.
     """
 
     point: tuple[float, float]

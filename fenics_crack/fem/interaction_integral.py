@@ -162,11 +162,12 @@ def _outer_boundary_points(dofs: Dofs) -> np.ndarray:
 
 
 def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndarray) -> None:
-    """Raise InputError if an element at a tip is too long for stress intensities.
+    """Raise InputError if an element at a crack tip is too long for stress intensities.
 
-    Stress intensities are integrals over a domain around the tip. The limit is the domain's radius.
-    The integral's weight would fall from 1 to 0 within a longer element. ``face_points`` (n, 2) [m]
-    are the nodes on crack faces.
+    Stress intensities are integrals over a domain around the tip, weighted by a function from 1 at
+    the tip to 0 at the domain's radius. An element longer than this radius cannot follow the
+    function. ``face_points`` (n, 2) [m] are the nodes on crack faces, from which the element
+    lengths are found.
     """
     for tip in tips:
         tip_distances_of_face_nodes = np.linalg.norm(face_points - tip.point, axis=1)
@@ -327,12 +328,25 @@ def find_weight_and_slope(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndar
 def _weighted_singular_field(
     scene: Scene, tip: Tip, mode: int, points: np.ndarray, outward_normals: np.ndarray
 ) -> np.ndarray:
-    """Return the field w = q s at nodes ``points`` (n, 2) [m]: (n, 2).
+    """Return the field w = q s around a crack tip, at given nodes: (n, 2).
 
-    q is a weight, 1 near the tip and 0 at the integration domain's border. s is the derivative, in
-    the direction ahead of the crack, of a displacement field. The field has K_I = 1 (``mode`` 0) or
-    K_II = 1 (``mode`` 1). At the tip w is 0. ``outward_normals`` (n, 2), 0 off the crack faces,
-    tell the upper from the lower face.
+    w is a factor of the nodal forces in K_I or K_II. q is a weight, 1 near the tip and 0 at the
+    border of the integration domain. s is the derivative of a displacement field in the direction
+    ahead of the crack. The displacement field has K_I = 1 or K_II = 1. At the tip w is 0.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the material.
+    tip : Tip
+        Tip, with the radius of the integration domain.
+    mode : int
+        0 for K_I = 1, 1 for K_II = 1.
+    points : (n, 2) [m]
+        Positions of the nodes.
+    outward_normals : (n, 2)
+        Normals at the nodes on crack faces, of any length; 0 at all other nodes. Used to tell the
+        upper from the lower face.
     """
     offsets_from_tip = points - tip.point
     r = np.linalg.norm(offsets_from_tip, axis=1)
@@ -363,11 +377,11 @@ def _weighted_singular_field(
 
 
 def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarray]:
-    """Return a function to assemble the factors of the displacement in K_I or K_II.
+    """Return a function that computes the factors of the displacement in K_I or K_II.
 
-    The function takes a tip, a mode (0 for K_I, 1 for K_II) and the nodal field w of
-    :func:`_weighted_singular_field`. The function returns (n_local,). All tips and modes share a
-    compiled form with changed constants.
+    The function's arguments are a tip, a mode (0 for K_I, 1 for K_II), and the field w (n_nodes, 2)
+    of :func:`_weighted_singular_field`. The function returns a factor for each dof: (n_local,). All
+    tips and modes share a compiled form, to save the time of compilation.
     """
     space = dofs.space
     nodal_function = dolfinx.fem.Function(space)
@@ -446,12 +460,24 @@ def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndar
 def _contact_force_factors(
     scene: Scene, structure: Structure, tip: Tip, mode: int, nodal_field: np.ndarray
 ) -> np.ndarray:
-    """Return factors of the contact forces in K_I or K_II at a tip: (n_pairs,).
+    """Return the factors of the contact forces in K_I or K_II at a tip: (n_pairs,).
 
-    ``mode`` 0 is K_I, 1 is K_II. ``nodal_field`` is w from :func:`_weighted_singular_field`. The
-    pairs' contact forces are replaced by a pressure along the crack faces. The pressure does not
-    enter K_II, so its factors are 0. With ``contact.pairs = "mouth"`` all factors are 0, since the
-    force acts at a single node.
+    The pairs' contact forces are replaced by a pressure along the crack faces. Pressure does not
+    enter K_II, so all factors for K_II are 0. With ``contact.pairs = "mouth"`` all factors are 0,
+    because the force acts at a single node.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with contact and material.
+    structure : Structure
+        Structure with the contact pairs.
+    tip : Tip
+        Tip at which the stress intensities are computed.
+    mode : int
+        0 for K_I, 1 for K_II.
+    nodal_field : (n_local,)
+        Field w of :func:`_weighted_singular_field`, at the free dofs.
     """
     force_factors = np.zeros(structure.n_pairs)
     if mode == 1 or scene.contact is None or scene.contact.pairs == "mouth":
@@ -490,10 +516,16 @@ def _contact_force_factors(
 def _singular_quadrature_rule(
     interval_ends: np.ndarray, domain_radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points r and weights for integrals of f(r) r^-1/2 from 0 to the radius.
+    """Return quadrature points r [m] and weights for int f(r) r^-1/2 dr.
 
-    f must be smooth between successive ``interval_ends`` [m]. In each interval, Gauss's rule with 8
-    points is applied to the square root of r.
+    The integral runs from 0 to ``domain_radius`` [m]. f must be smooth between successive
+    ``interval_ends`` [m], in any order. In each interval, Gauss's rule with 8 points is applied to
+    the square root of r.
+
+    Returns
+    -------
+    points, weights : (n,) [m], [m^1/2]
+        The integral is the sum of f(points) times weights.
     """
     sqrt_ends = np.sqrt(
         np.unique(np.clip([0.0, *interval_ends, domain_radius], 0.0, domain_radius))

@@ -50,7 +50,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     scene : Scene
         Scene with loads.
     dofs : Dofs
-        Dofs of the mesh.
+        The mesh's dofs.
     mass : PETSc.Mat
         Mass matrix with the clamped rows.
 
@@ -133,10 +133,10 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
 
 
 def _largest_force_direction(force_vectors: Sequence[Vector]) -> Vector:
-    """Return the unit vector along the largest part of a load.
+    """Return the unit vector along the largest cosine or sine part of a load.
 
-    The largest cosine or sine part counts; if all of them are zero, the mean. ``force_vectors`` are
-    mean, then cosine and sine parts; at least one must not be zero.
+    If all cosine and sine parts are zero, the mean counts. ``force_vectors`` has the mean, then
+    cosine and sine parts of each order. At least one vector must not be zero.
     """
     mean_force_vector, *cos_and_sin_vectors = force_vectors
     largest_force_vector = max(
@@ -151,9 +151,20 @@ def _largest_force_direction(force_vectors: Sequence[Vector]) -> Vector:
 def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
     """Distribute a unit point force over this rank's nodes: (n_nodes,) (collective).
 
-    A node at the point takes the whole force. Otherwise the fractions are the values of the basis
-    functions N_i at the point. On a part from a CAD file, a point close to the mesh but outside all
-    cells loads the nearest node. ``key`` names the point in errors.
+    A node at the point takes the whole force. Otherwise the fractions are the values of the nodes'
+    basis functions at the point. If a point on a CAD part lies outside all cells but close to the
+    mesh, the nearest node takes the whole force.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the mesh's order.
+    dofs : Dofs
+        The mesh's dofs.
+    key : str
+        The point's key in the scene, for errors.
+    point : (d,) [m]
+        Point at which the force acts.
 
     Raises
     ------
@@ -247,9 +258,20 @@ def _assemble_point_load(
 def _checked_force_on_free_dofs(
     dofs: Dofs, key: str, place: object, nodal_force_harmonics: np.ndarray
 ) -> np.ndarray:
-    """Return the given forces; raise InputError if all act on clamped dofs (collective).
+    """Return a load's nodal forces unchanged, or raise InputError if all are clamped (collective).
 
-    The error has the load's ``key``, and its point or edge as ``place``.
+    The error is raised if the load is not zero, but all forces act on clamped dofs.
+
+    Parameters
+    ----------
+    dofs : Dofs
+        The mesh's dofs.
+    key : str
+        The load's key in the scene, for the error.
+    place : object
+        The load's point or edge, for the error.
+    nodal_force_harmonics : (2K+1, n_dofs) [N]
+        Forces on all owned dofs: mean, then cosine and sine parts up to the order K.
     """
     has_force, has_free_force = (
         np.any(gather_rows(dofs.comm, nodal_forces.ravel()))
@@ -263,9 +285,11 @@ def _checked_force_on_free_dofs(
 
 
 def _distribute_vector(dofs: Dofs, node_fractions: np.ndarray, vector: Vector) -> np.ndarray:
-    """Multiply a vector by each node's fraction (n_nodes,): (n_dofs,).
+    """Multiply a force vector by a fraction for each node: (n_dofs,).
 
-    An empty vector counts as zero.
+    ``vector`` has a component for each axis; an empty vector counts as zero. ``node_fractions``
+    (n_nodes,) may have any values, such as the edge area of each node. The result has all
+    components of the first node, then of the second node.
     """
     return np.asarray(np.outer(node_fractions, vector or np.zeros(dofs.dimension)).ravel())
 
@@ -274,10 +298,10 @@ def _distribute_vector(dofs: Dofs, node_fractions: np.ndarray, vector: Vector) -
 
 
 def _assemble_edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
-    """Assemble a load's traction and pressure on an edge or surface: (2K+1, n_dofs) [N].
+    """Assemble a load's traction and pressure on an edge or surface (collective).
 
-    Rows are mean, then cosine and sine parts. ``key`` names the load in errors, as "loads.1"
-    (collective).
+    ``key`` names the load in errors, as "loads.1". Returns the nodal forces (2K+1, n_dofs) [N]:
+    mean, then cosine and sine parts of the orders 1 to K.
     """
     edge_name = load.given("edge")
     check_choice(f"{key}.edge", edge_name, sorted(set(dofs.part_mesh.tags_by_group) - {"clamp"}))
@@ -317,9 +341,17 @@ def _make_watch_vector_at_edge_middle(
 ) -> np.ndarray:
     """Return the vector to watch the displacement at an edge's middle: (n_local,).
 
-    The product with the displacement u is the motion of the node nearest to the middle. The
-    motion's direction is the axis along which the load is largest. ``nodal_force_harmonics`` (2K+1,
-    n_dofs) [N] are the load's mean, cosine and sine parts.
+    Results report the product with the displacement u. The product is the displacement of the
+    edge's node nearest to the middle. The direction is the axis along which the load is largest.
+
+    Parameters
+    ----------
+    dofs : Dofs
+        The mesh's dofs.
+    edge : str
+        The edge's name.
+    nodal_force_harmonics : (2K+1, n_dofs) [N]
+        Load on the edge: mean, then cosine and sine parts up to the order K.
     """
     free_nodal_forces = np.where(
         dofs.structure_dof_numbers < 0, 0.0, nodal_force_harmonics
@@ -341,8 +373,16 @@ def make_clamp_for_reactions(
 ) -> ClampReactionData:
     """Return the data to compute reaction forces and moments at the clamp (collective).
 
-    ``mass`` and ``nodal_force_harmonics`` (2K+1, n_dofs) [N] include the clamped dofs. Moments are
-    about the middle of the clamp's bounding box.
+    Moments are about the middle of the clamp's bounding box.
+
+    Parameters
+    ----------
+    dofs : Dofs
+        The mesh's dofs.
+    mass : PETSc.Mat
+        Mass matrix, with the rows of clamped dofs.
+    nodal_force_harmonics : (2K+1, n_dofs) [N]
+        Load on all dofs, clamped dofs included: mean, then cosine and sine parts up to the order K.
     """
     clamped_points = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")])
     clamp_center = (
@@ -394,9 +434,22 @@ def _make_watch_vector_at_node(
 ) -> np.ndarray:
     """Return the vector to watch a node's displacement in a direction: (n_local,).
 
-    The product with the displacement u is the node's displacement along ``direction``. The node is
-    chosen among ``nodes`` of all ranks, sorted by the distance from ``position``. ``distance_rank``
-    0 is the nearest node, -1 the farthest. Equal distances are sorted by coordinates.
+    Results report the product with the displacement u, the node's displacement along ``direction``.
+    The node is chosen by the distance from a position.
+
+    Parameters
+    ----------
+    dofs : Dofs
+        The mesh's dofs.
+    nodes : (n,) int
+        This rank's nodes from which to choose. The nodes of all ranks are sorted together.
+    position : (d,) [m]
+        Position from which distances are measured.
+    distance_rank : int
+        Index of the node among all nodes, sorted by distance: 0 for the nearest, -1 for the
+        farthest. Equal distances are sorted by coordinates.
+    direction : (d,)
+        Unit vector.
     """
     all_points = gather_rows(dofs.comm, dofs.points[nodes])
     node_distances = np.linalg.norm(all_points - position, axis=1)

@@ -85,7 +85,24 @@ def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Com
 def _make_structure(
     scene: Scene, table: StructureTable, damping_rule: DampingRule | None, comm: MPI.Comm
 ) -> Structure:
-    """Make a structure from the files named in ``table`` (collective)."""
+    """Make a structure from the matrix files named in a scene's table (collective).
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with excitation and contact.
+    table : StructureTable
+        Table ``[structure]`` with the file names.
+    damping_rule : DampingRule or None
+        Modal or Rayleigh damping, used unless the table names a damping file.
+    comm : MPI.Comm
+        Ranks that share the matrix rows.
+
+    Returns
+    -------
+    Structure
+        Structure with contact pairs; with nodes if the table names a model file.
+    """
     labelled_matrix_by_name, gaps_and_forces_by_name, model = call_on_each_rank(
         comm, lambda: _read_matrices_columns_and_model(table)
     )
@@ -221,9 +238,17 @@ def _read_matrices_columns_and_model(
 def _find_row_order_and_node_dofs(
     model: ModelFileMesh, row_labels: np.ndarray, table: StructureTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Order the matrices' rows so that rows of a node are neighbours.
+    """Find a new order of the matrices' rows, in which rows of a node are neighbours.
 
-    ``row_labels`` (n_dofs, 2) are the node's number and the direction (1 to 6) of each row.
+    Parameters
+    ----------
+    model : ModelFileMesh
+        Nodes from the model file.
+    row_labels : (n_dofs, 2) int
+        For each row, node number in the file and direction: 1 to 3 for displacements, 4 to 6 for
+        rotations.
+    table : StructureTable
+        Table ``[structure]``, for errors.
 
     Returns
     -------
@@ -263,10 +288,10 @@ def _find_row_order_and_node_dofs(
 
 
 def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
-    """Return start and stop of this rank's rows, ordered by nodes.
+    """Return the first row of this rank, and the first row of the next rank.
 
     All rows of a node are on one rank, and all ranks have about equally many rows. ``node_starts``
-    (n + 1,) comes from :func:`_find_row_order_and_node_dofs`.
+    (n + 1,) has the first row of each node, then the number of rows.
     """
     balanced_start_and_stop = node_starts[-1] * np.array([comm.rank, comm.rank + 1]) // comm.size
     start, stop = node_starts[np.searchsorted(node_starts, balanced_start_and_stop)]
@@ -276,10 +301,27 @@ def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
 def _own_nodes(
     model: ModelFileMesh, node_dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm
 ) -> Nodes:
-    """Return the nodes of this rank's rows ``start`` to ``stop``, with cells for drawing.
+    """Return the nodes whose matrix rows this rank has, and the cells for drawing.
 
-    Rank 0 also has all cells, and cell nodes without dofs. Cells are kept under two conditions. All
-    cells have the same kind, but not wedges. And every matrix row is a model node's translation.
+    Rank 0 also gets all cells, and the nodes in cells without rows. Cells are left out unless three
+    conditions hold: all have the same kind, none is a wedge, and each matrix row is a node's
+    translation.
+
+    Parameters
+    ----------
+    model : ModelFileMesh
+        Nodes and cells from the model file.
+    node_dofs : (n_nodes, 3) int
+        Matrix row of each model node along x, y and z; -1 without a row.
+    start, stop : int
+        This rank's rows: ``start`` to ``stop`` - 1.
+    comm : MPI.Comm
+        Ranks that share the rows.
+
+    Returns
+    -------
+    Nodes
+        Positions and rows of this rank's nodes. Cells refer to node numbers counted over all ranks.
     """
     are_all_rows_translations = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(
         stop - start
@@ -313,10 +355,21 @@ def _own_nodes(
 
 
 def _read_number_or_pair_values(name: str, number_or_path: float | str, n_pairs: int) -> Any:
-    """Return a contact setting: a number, or a value per pair read from a file.
+    """Return a setting of the contact pairs: a number, or a value per pair from a file.
 
-    A file gives an array (n_pairs,). Without pairs a file is not read, and the result is 0.
-    ``name`` is the key for errors.
+    Parameters
+    ----------
+    name : str
+        Key of the setting, for errors: "clearance" or "areas".
+    number_or_path : float or str
+        The number, or the path of a file with a value per pair.
+    n_pairs : int
+        Number of contact pairs. With 0 the file is not read.
+
+    Returns
+    -------
+    float or (n_pairs,)
+        The given number, or the values from the file. 0 for a file without pairs.
     """
     if not isinstance(number_or_path, str):
         return number_or_path
@@ -330,8 +383,8 @@ def _read_number_or_pair_values(name: str, number_or_path: float | str, n_pairs:
 def table_pair_upper_bound(table: StructureTable) -> int:
     """Return an upper bound for the number of contact pairs in a table ``[structure]``.
 
-    The bound is the gap file's number of columns, else the number of coincident node pairs in the
-    model. The result is 0 if the table has neither, or the file cannot be read.
+    The bound is the gap file's number of columns. Without a gap file, the coincident node pairs in
+    the model file are counted. Without both files, or if the file cannot be read, the result is 0.
     """
     path = table.gap or table.model
     if path is None:

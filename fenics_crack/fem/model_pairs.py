@@ -71,7 +71,7 @@ class _TwinNodes:
     Attributes
     ----------
     points : (n_nodes, 3) [m]
-        Positions of all nodes.
+        Node positions.
     dofs : (n_nodes, 3) int
         Row of each node along x, y, z in the matrices; -1 without a row.
     n_dofs : int
@@ -208,12 +208,17 @@ def find_gap_matrix_and_pairs(
 def _find_crack_of_each_pair(
     twins: _TwinNodes, twin_index_of_contact_pair: np.ndarray
 ) -> np.ndarray:
-    """Return the crack number of each pair: (n_pairs,) int.
+    """Return the crack number of each contact pair: (n_pairs,) int.
 
-    Two pairs are on the same crack if the stiffness connects their nodes on both faces, directly or
-    by a chain of pairs. Cracks are numbered from 0, from bottom to top.
-    ``twin_index_of_contact_pair`` (n_pairs,) has the index of each contact pair among the pairs of
-    ``twins``.
+    Two pairs are neighbours if the stiffness connects their nodes on both crack faces. A chain of
+    neighbours belongs to the same crack. Cracks are numbered from 0, from bottom to top.
+
+    Parameters
+    ----------
+    twins : _TwinNodes
+        All pairs of coincident nodes.
+    twin_index_of_contact_pair : (n_pairs,) int
+        Index of each contact pair in ``twins``.
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -251,9 +256,14 @@ The nodes are k corners, then the middle nodes of k edges, or -1 for cells of or
 def _crack_face_facets(model: ModelFileMesh, twins: _TwinNodes) -> list[Facets]:
     """Return the facets on crack faces: triangles, then quadrilaterals; empty without any.
 
-    A facet is on a crack face if a single cell has the facet, exactly one facet of another cell
-    coincides, and a corner is in a pair of ``twins``. A facet is left out if a node coincides with
-    another node and only one of both has dofs.
+    A facet is on a crack face under three conditions:
+
+    - A single cell has the facet.
+    - Exactly one facet of another cell has the same position.
+    - A corner of the facet is a node in ``twins``.
+
+    A facet is left out if one of its nodes coincides with another node, and only one of both has
+    matrix rows.
     """
     facets_of_each_shape = []
     for n_facet_corners in (3, 4):
@@ -291,12 +301,24 @@ def _cell_facets_and_cell_centres(
 ) -> Facets:
     """Return the facets of all cells of the same kind, with the cells' centres.
 
-    ``points`` (n_nodes, 3) [m] are node positions. ``cells`` (n, k) are nodes, ``n_corners``
-    corners first. ``facet_corner_columns`` (m, n_facet_corners) are the columns of each facet's
-    corners in ``cells``.
+    Parameters
+    ----------
+    points : (n_nodes, 3) [m]
+        Node positions.
+    cells : (n, k) int
+        Nodes of each cell: corners, then the middle nodes of edges, if any.
+    n_corners : int
+        Number of corners per cell.
+    facet_corner_columns : (m, n_facet_corners) int
+        Corners of each of a cell's m facets, as columns of ``cells``.
 
-    The first result has a row for each facet (n m, 2 n_facet_corners): corners, then middle nodes,
-    or -1 in cells without. The second result is the centre (n m, 3) [m] of each facet's cell.
+    Returns
+    -------
+    facet_nodes : (n m, 2 n_facet_corners) int
+        Nodes of each facet, cell after cell: corners, then middle nodes. -1 for missing middle
+        nodes.
+    cell_centres : (n m, 3) [m]
+        Centre of each facet's cell.
     """
     n_facet_corners = facet_corner_columns.shape[1]
     middle_column_by_edge = {
@@ -318,18 +340,18 @@ def _cell_facets_and_cell_centres(
 
 
 def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Evaluate the basis functions of a facet with k corners at Gauss points.
+    """Evaluate the basis functions of a facet at 3 x 3 Gauss points.
 
-    k = ``n_corners`` is 3 or 4. The Gauss rule has 3 x 3 points.
+    The facet has k = ``n_corners`` corners, 3 or 4.
 
     Returns
     -------
-    weighted_functions : (2, k, n_points)
-        Linear functions of the corners, then quadratic functions of the edge middles, both times
-        the Gauss weights.
-    linear : (k, n_points)
-        Linear functions of the corners.
-    slopes : (2, k, n_points)
+    weighted_functions : (2, k, 9)
+        Basis functions times the Gauss weights: k linear functions, 1 at a corner, then k quadratic
+        functions, 1 at the middle of an edge.
+    linear : (k, 9)
+        The linear functions without weights.
+    slopes : (2, k, 9)
         Derivatives of the linear functions by the facet's two coordinates.
     """
     gauss_points, gauss_weights = (
@@ -476,16 +498,28 @@ def _assemble_patch_gap_matrix(
 def _assemble_normal_gap_matrix(
     twins: _TwinNodes, crack_dimension: int
 ) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """Assemble normal gaps between coincident nodes, for a model without cells.
+    """Assemble the normal gaps between pairs of coincident nodes, for a model without cells.
 
-    ``crack_dimension`` is 2 if crack faces are surfaces, 1 if they are lines.
+    The crack's normal at a pair is found from the nodes that the stiffness connects to the pair.
+
+    Parameters
+    ----------
+    twins : _TwinNodes
+        Pairs of coincident nodes.
+    crack_dimension : int
+        2 if crack faces are surfaces, 1 if they are lines.
 
     Returns
     -------
     gap : (n_dofs, n_pairs)
         Matrix B from the displacement u to the gaps B^T u.
     front_nodes : (m,) int
-        Nodes on the crack fronts: connected by the stiffness to both nodes of a pair.
+        Nodes on the crack fronts. The stiffness connects them to both nodes of a pair.
+
+    Raises
+    ------
+    InputError
+        Both nodes of a pair lie on the same side of the crack.
     """
     model_points = twins.points
     gap_matrix = sparse.lil_matrix((twins.n_dofs, len(twins.first_nodes)))

@@ -92,7 +92,7 @@ def read_mesh_into_gmsh(path: Path, dimension: int) -> tuple[NamedParts, Cracks]
     Returns
     -------
     NamedParts
-        gmsh's group tags of named curves or surfaces, and positions of named points. A name with
+        gmsh's group tags for named curves or surfaces, and positions of named points. A name with
         several points has no position.
     Cracks
         Cracks sorted from bottom to top.
@@ -119,7 +119,7 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
     Returns
     -------
     NamedParts
-        gmsh's group tags of named curves or surfaces, and positions of named points. A name with
+        gmsh's group tags for named curves or surfaces, and positions of named points. A name with
         several points has no position.
     Cracks
         Cracks sorted from bottom to top.
@@ -244,10 +244,12 @@ def check_file_exists(key: str, path: Path | str) -> None:
 
 
 def unpack_groups(contents: dict[str, np.ndarray]) -> list[Group]:
-    """Convert arrays of :func:`~fenics_crack.fem.solid_mesher.collect_nodes_and_groups` to groups.
+    """Convert a mesh's arrays to a list of groups.
 
-    A result is (dimension, tag, name, gmsh's kind of elements, node numbers). gmsh's group with
-    several kinds of elements or several entities gives several results.
+    ``contents`` has the arrays "heads", "names" and "nodes" of
+    :func:`~fenics_crack.fem.solid_mesher.collect_nodes_and_groups`. A result is (dimension, tag,
+    name, gmsh's kind of elements, node numbers). If gmsh's group has several kinds of elements or
+    several entities, there is a result for each.
     """
     group_nodes = np.split(contents["nodes"], np.cumsum(contents["heads"][:, 3])[:-1])
     heads_names_and_nodes = zip(
@@ -262,15 +264,15 @@ def unpack_groups(contents: dict[str, np.ndarray]) -> list[Group]:
 def _select_cells(
     raw_mesh: RawMesh, dimension: int
 ) -> tuple[int, Cells, np.ndarray, dict[str, np.ndarray], list[Group]]:
-    """Select cells, named facets and named points, with nodes numbered from 0.
+    """Select a mesh's cells, named facets and named points, and number the nodes from 0.
 
-    Nodes without cells are dropped. A cell in several groups is kept once. InputError if cells are
-    of several kinds, or no facets are named "clamp".
+    Nodes without cells are dropped. A cell in several groups is kept once. ``dimension`` is 2 for a
+    plate, 3 for a solid.
 
     Returns
     -------
     kind : int
-        gmsh's kind of the cells.
+        gmsh's number for the cell type.
     cells : Cells
         The cells.
     positions : (n_nodes, 3) [m]
@@ -279,6 +281,11 @@ def _select_cells(
         Nodes of the facets with each name, "clamp" included.
     point_groups : list of Group
         Groups of named points.
+
+    Raises
+    ------
+    InputError
+        Cells are of several kinds, or no facets are named "clamp".
     """
     node_numbers, positions, groups = raw_mesh
     cells_requirement, facet_group_word = _CELL_REQUIREMENT_AND_FACET_WORD_BY_DIMENSION[dimension]
@@ -416,7 +423,10 @@ def _renumber_facets_after_split(
     split_cell_nodes: np.ndarray,
     node_map: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """Renumber named facets after nodes were doubled along cracks.
+    """Give named facets the new node numbers after nodes were doubled along cracks.
+
+    A facet with a doubled node gets the nodes of its cell, and so stays on the same side of the
+    crack.
 
     Parameters
     ----------
@@ -425,9 +435,14 @@ def _renumber_facets_after_split(
     cells : Cells
         Cells before the split.
     split_cell_nodes : (n_cells, k) int
-        Nodes of the cells after the split, for facets with a doubled node.
+        Nodes of the cells after the split.
     node_map : (n_nodes,) int
-        New number of each old node, for all other facets.
+        New number of each old node, for facets without a doubled node.
+
+    Returns
+    -------
+    dict of str to (m, k) int
+        Facets with the nodes after the split.
     """
     sorted_facets, owner, _ = cells.sorted_facets_and_owners
     n_key_corners = min(sorted_facets.shape[1], 3)  # three corners identify a facet
@@ -459,7 +474,15 @@ def _check_mouths_are_open(
     """Raise InputError if both crack faces share a node at the plate's edge.
 
     A crack that reaches the edge must have a mouth there: two coincident nodes, one for each face.
-    ``face_edges`` are the nodes of element edges on the lower and on the upper face, (n, 2) each.
+
+    Parameters
+    ----------
+    cells : Cells
+        The plate's cells.
+    positions : (n_nodes, d) [m]
+        Node positions.
+    face_edges : two arrays (n, 2) int
+        Nodes of element edges on the lower and on the upper crack face.
     """
     boundary_edges = cells.sorted_facets_and_owners[0][cells.is_boundary_facet]
     boundary_edges = boundary_edges[~are_rows_in(boundary_edges, np.concatenate(face_edges))]
@@ -473,9 +496,10 @@ def _check_mouths_are_open(
 def _tag_name_combinations(
     edges_by_name: dict[str, np.ndarray],
 ) -> tuple[dict[str, tuple[int, ...]], list[tuple[int, str, np.ndarray]]]:
-    """Sort named facets into disjoint groups, with a tag for each combination of names.
+    """Sort named facets into groups without common facets, with a tag for each group.
 
-    A DOLFINx facet has only a single tag, but may be in several named groups.
+    A DOLFINx facet has only a single tag, but a facet may have several names. So there is a group
+    for each combination of names.
 
     Parameters
     ----------
@@ -485,9 +509,9 @@ def _tag_name_combinations(
     Returns
     -------
     tags_by_name : dict of str to tuple of int
-        Tags of all combinations with this name.
+        For each name, the tags of all combinations that include the name.
     tagged_edges : list of (int, str, (m, k) int)
-        Tag, joined names, and edges or facets of each combination.
+        For each combination: tag, the names joined by "and", and nodes of the edges or facets.
     """
     all_edges = np.concatenate(list(edges_by_name.values()))
     edge_curve_index = np.repeat(
@@ -513,8 +537,9 @@ def _tag_name_combinations(
 def _fill_gmsh_model(positions: np.ndarray, groups: list[Group]) -> None:
     """Add nodes, elements and named physical groups to gmsh's current model.
 
-    The first of ``groups`` holds the cells. Nodes in groups are indices of ``positions`` (n_nodes,
-    3) [m].
+    ``positions`` (n_nodes, 3) [m] are the nodes. Each of ``groups`` is (dimension, tag, name,
+    gmsh's kind of elements, nodes), with nodes as indices in ``positions``. The first group must
+    hold the cells.
     """
     model, dimension = gmsh.model, groups[0][0]
     node_entity = model.addDiscreteEntity(dimension)
@@ -536,10 +561,18 @@ count as zero."""
 def _check_none(
     is_wrong: np.ndarray, problem: str, positions: np.ndarray, requirement: str
 ) -> None:
-    """Raise InputError if any of n cells, facets or points is wrong.
+    """Raise InputError for the key "mesh" if any of n cells, facets or points is wrong.
 
-    ``is_wrong`` (n,) is True for a wrong cell, with nodes at ``positions`` (n, k, d) [m]. The error
-    has the texts ``problem``, with the centre of the first wrong cell, and ``requirement``.
+    Parameters
+    ----------
+    is_wrong : (n,) bool
+        True for a wrong cell, facet or point.
+    problem : str
+        Text of the error for the fault. The centre of the first wrong cell is added.
+    positions : (n, k, d) [m]
+        Positions of the k nodes of each cell, facet or point.
+    requirement : str
+        Text of the error for what is allowed.
     """
     if np.any(is_wrong):
         centre = positions[np.argmax(is_wrong)].mean(axis=0)
@@ -554,11 +587,11 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
     Parameters
     ----------
     kind : int
-        gmsh's kind of the cells.
+        gmsh's number for the cell type.
     cells : Cells
         The cells.
     positions : (n_nodes, d) [m]
-        Positions of all nodes.
+        Node positions.
     """
     dimension, facet_word = positions.shape[1], _FACET_WORD_BY_DIMENSION[positions.shape[1]]
     cell_positions, reference_nodes = positions[cells.cell_nodes], _reference_node_positions(kind)
@@ -622,7 +655,15 @@ def _check_inner_surfaces_are_cracks(
     """Raise InputError if a named surface inside the solid is neither crack nor clamp.
 
     A user may have meant the surface as a crack, but it would not separate the material.
-    ``facets_by_name`` has nodes of facets (m, k) by name, ``crack_names`` the names of cracks.
+
+    Parameters
+    ----------
+    cells : Cells
+        The mesh's cells.
+    facets_by_name : dict of str to (m, k) int
+        Nodes of the facets on each named surface.
+    crack_names : list of str
+        Names of the surfaces that are cracks.
     """
     sorted_facets, _, _ = cells.sorted_facets_and_owners
     shared_facets = sorted_facets[1:][cells.is_facet_equal_to_next]
@@ -660,11 +701,12 @@ def check_parts_are_clamped(
     cells : Cells
         Cells after the split at cracks.
     positions : (n_nodes, d) [m]
-        Positions of all nodes.
+        Node positions.
     clamped_nodes : (m,) or (m, k) int
         Nodes on facets named "clamp".
     face_facets : sequence of (n, d) int
-        Corners of the facets on each crack face.
+        Corners of the facets on each crack face. Used to say in the error whether contact holds the
+        part.
     """
     part_labels = label_connected_rows(cells.cell_nodes)
 
@@ -691,20 +733,20 @@ def check_parts_are_clamped(
 def check_parts_do_not_overlap(
     kind: int, cells: Cells, positions: np.ndarray, face_facets: Sequence[np.ndarray]
 ) -> None:
-    """Raise InputError if parts overlap, or touch without common nodes.
+    """Raise InputError if parts of a mesh overlap, or touch without common nodes.
 
-    The centre of each boundary facet, and the points halfway to its corners, must not lie in or on
-    another cell. Facets of crack faces are exempt. Cells three times as long as wide may cross
-    between these points undetected.
+    Sample points lie on each boundary facet, at the centre and halfway to each corner. A sample
+    point must not lie in or on another cell. Facets of crack faces are exempt. A long, thin cell
+    may pass between sample points undetected, from three times as long as wide.
 
     Parameters
     ----------
     kind : int
-        gmsh's kind of the cells.
+        gmsh's number for the cell type.
     cells : Cells
         Cells after the split at cracks.
     positions : (n_nodes, d) [m]
-        Positions of all nodes.
+        Node positions.
     face_facets : sequence of (n, d) int
         Corners of facets on crack faces.
     """
@@ -755,10 +797,20 @@ def check_parts_do_not_overlap(
 def _are_in_cells(
     kind: int, n_corners: int, cell_positions: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Return True if point i lies in or on cell i: (n,) bool.
+    """Return True for each i if point i lies in or on cell i: (n,) bool.
 
-    ``points`` are (n, d) [m], ``cell_positions`` the cells' node positions (n, n_nodes, d) [m].
-    ``kind`` is gmsh's kind of the cells. The tolerance is 1e-6 of the cell's size.
+    The tolerance is 1e-6 of the cell's size.
+
+    Parameters
+    ----------
+    kind : int
+        gmsh's number for the cell type.
+    n_corners : int
+        Number of corners per cell.
+    cell_positions : (n, n_nodes, d) [m]
+        Node positions of each cell.
+    points : (n, d) [m]
+        A point for each cell.
     """
     dimension = points.shape[1]
     linear_functions_at_nodes = _evaluate_basis_functions(
@@ -835,7 +887,11 @@ def _are_in_cells(
 
 
 def _reference_node_positions(kind: int) -> np.ndarray:
-    """Return the node coordinates in the reference cell for gmsh's kind: (n_nodes, 3)."""
+    """Return the nodes of gmsh's reference cell: (n_nodes, 3), without unit.
+
+    The reference cell is the cell of unit size on which gmsh defines basis functions. ``kind`` is
+    gmsh's number for the cell type. In a plate the third coordinate is 0.
+    """
     _, dimension, _, n_nodes_per_cell, coordinates, _ = gmsh.model.mesh.getElementProperties(kind)
     positions = np.zeros((n_nodes_per_cell, 3))
     positions[:, :dimension] = np.reshape(coordinates, (n_nodes_per_cell, dimension))
@@ -845,10 +901,21 @@ def _reference_node_positions(kind: int) -> np.ndarray:
 def _evaluate_basis_functions(
     kind: int, reference_points: np.ndarray, function_name: str = "Lagrange"
 ) -> np.ndarray:
-    """Evaluate the basis functions of cells at points of the reference cell.
+    """Evaluate a cell's basis functions at points of gmsh's reference cell.
 
-    ``kind`` is gmsh's kind of cells, ``reference_points`` are (n, 3). "Lagrange" gives values (n,
-    n_functions), "GradLagrange" gradients (n, 3 n_functions) with three columns per function.
+    Parameters
+    ----------
+    kind : int
+        gmsh's number for the cell type.
+    reference_points : (n, 3)
+        Points in the coordinates of the reference cell.
+    function_name : str
+        "Lagrange" for values, "GradLagrange" for gradients.
+
+    Returns
+    -------
+    (n, n_functions) or (n, 3 n_functions)
+        Values, or gradients with three columns per function.
     """
     return np.reshape(
         gmsh.model.mesh.getBasisFunctions(kind, reference_points.ravel(), function_name)[1],

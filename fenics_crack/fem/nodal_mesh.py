@@ -24,9 +24,8 @@ cell."""
 class NodalMesh:
     """Whole mesh of a structure, gathered on every rank.
 
-    All ranks create the object together.
-
-    InputError for a structure made from matrices without a mesh.
+    All ranks must create the object together. A structure made from matrices without a mesh raises
+    InputError.
 
     Attributes
     ----------
@@ -63,20 +62,20 @@ class NodalMesh:
         self.vtk_type = nodes.vtk_type
 
     def nodal_vectors(self, dof_rows: np.ndarray) -> np.ndarray:
-        """Convert values of dofs (m, n_local) to nodal vectors (m, n_nodes, d) (collective).
+        """Convert values of dofs (m, n_local) to vectors at nodes (m, n_nodes, d) (collective).
 
-        Clamped components are zero. Components are along x, y (and z). In a bladed disk, the dofs
-        are components along each sector's own axes.
+        The vectors have components along x, y (and z), 0 if clamped. In a bladed disk, dofs are
+        components along each sector's own axes, so the vectors are rotated.
         """
         dof_values = np.concatenate(self.structure.comm.allgather(dof_rows), axis=1)
         vectors = np.where(self._node_dofs >= 0, dof_values[:, np.maximum(self._node_dofs, 0)], 0.0)
         return vectors if self._frames is None else np.einsum("nij,mnj->mni", self._frames, vectors)
 
     def to_nodal_frames(self, vectors: np.ndarray) -> np.ndarray:
-        """Rotate nodal vectors (m, n_nodes, d) from space into the nodes' frames.
+        """Convert vectors at nodes from components along x, y, z to components like the dofs.
 
-        Each sector of a bladed disk has a frame in which the dofs are components. Other structures
-        have no frames: the vectors come back unchanged.
+        ``vectors`` and the result are (m, n_nodes, d). In a bladed disk, the dofs are components
+        along each sector's own axes. In other structures the vectors come back unchanged.
         """
         frames = self._frames
         return vectors if frames is None else np.einsum("nji,mnj->mni", frames, vectors)
@@ -198,8 +197,9 @@ class NodalMesh:
     def boundary_sides(self) -> np.ndarray:
         """Return the nodes of boundary edges or facets, crack faces included: (n, k) int.
 
-        A plate's row has the edge's ends, with elements of order 2 the middle node between. A
-        solid's row has 3 or 4 facet corners, anticlockwise seen from outside.
+        For a plate, a row has both ends of an edge; with elements of order 2, the middle node
+        stands between the ends. For a solid, a row has the 3 or 4 corners of a facet, anticlockwise
+        seen from outside.
         """
         sides, n_cells_at_side, cell_index = self._all_cell_sides
         sides, cells = sides[n_cells_at_side == 1], self.cells[cell_index[n_cells_at_side == 1]]
@@ -223,8 +223,8 @@ class NodalMesh:
     def crack_face_sides(self) -> np.ndarray:
         """Return the nodes of edges or facets on crack faces: (n, k) int.
 
-        The rows are selected from ``boundary_sides``. A side is on a crack face if the centre
-        coincides with another side's centre.
+        The rows are selected from ``boundary_sides``: edges of a plate, facets of a solid. An edge
+        or facet is on a crack face if its centre coincides with a second centre.
         """
         from scipy.spatial import cKDTree  # slow to import, and few pictures need it
 

@@ -49,7 +49,7 @@ class MeshWithNamedParts:
     position_by_point_name : dict of str to tuple of float
         Positions of the named points in a mesh file [m].
     crack_paths_or_surfaces : tuple of CrackPath or of CrackSurface
-        Cracks in the order of the scene; for a mesh file, from bottom to top.
+        Cracks in the scene's order; for a mesh file, from bottom to top.
     """
 
     mesh: Any
@@ -70,7 +70,10 @@ class MeshWithNamedParts:
         )
 
     def measure_on(self, *group_names: str) -> Any:
-        """Return the UFL measure ds for integrals over all given curves or surfaces, by name."""
+        """Return the UFL measure ds for integrals over named curves or surfaces together.
+
+        ``group_names`` are keys of ``tags_by_group``, as "clamp".
+        """
         facet_tags = tuple(
             tag for group_name in group_names for tag in self.tags_by_group[group_name]
         )
@@ -129,7 +132,8 @@ def write_msh(scene: Scene, path: str | Path) -> None:
 def _gmsh_on_root_context(comm: MPI.Comm) -> Iterator[None]:
     """Run gmsh with an empty model on rank 0, and remove the model at the end.
 
-    gmsh is stopped at the end unless it was running before.
+    gmsh is also stopped at the end, unless gmsh was running before. Other ranks of ``comm`` do
+    nothing.
     """
     if comm.rank != 0:
         yield
@@ -155,9 +159,9 @@ def _fill_gmsh_model_from_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
     Returns
     -------
     NamedParts
-        gmsh's group tags of named curves or surfaces, and positions of named points.
+        gmsh's group tags for named curves or surfaces, and positions of named points.
     Cracks
-        Cracks in the order of the scene; for a mesh file, from bottom to top.
+        Cracks in the scene's order; for a mesh file, from bottom to top.
     """
     if scene.mesh.layout == "file":
         from fenics_crack.fem.msh_file import read_mesh_into_gmsh  # only mesh files need its checks
@@ -236,10 +240,11 @@ class Dofs:
         return nodes[nodes < space.dofmap.index_map.size_local]
 
     def set_sector_sides(self, side_node_pairs: np.ndarray, rotation: np.ndarray) -> None:
-        """Set a disk sector's sides, and rotate the dofs on the right side.
+        """Set the left and right side of a disk's sector, and rotate the dofs on the right side.
 
-        All matrices, forces and functions made afterwards use the rotated dofs. A single rank has
-        the whole sector.
+        The right side is the next sector's left side. Dofs there become components along the next
+        sector's axes. Matrices, forces and functions made afterwards use the rotated dofs. A single
+        rank must have the whole sector.
 
         Parameters
         ----------
@@ -261,9 +266,10 @@ class Dofs:
         self._free_dof_frame_rotation.eliminate_zeros()
 
     def restrict_to_free(self, forces: np.ndarray) -> np.ndarray:
-        """Select the free dofs from forces (..., n_dofs): (..., n_local).
+        """Select the forces on free dofs from forces on all dofs of this rank.
 
-        In a disk sector, forces on the right side become components along the next sector's axes.
+        ``forces`` is (..., n_dofs), the result (..., n_local). In a disk's sector, forces on the
+        right side become components along the next sector's axes.
         """
         free_forces = forces[..., self.free_dofs]
         return (
@@ -296,10 +302,11 @@ class Dofs:
         return free_matrix
 
     def function(self, displacement: np.ndarray) -> Any:
-        """Convert a displacement (n_local,) to a DOLFINx Function, 0 at clamped dofs.
+        """Convert a displacement (n_local,) to a DOLFINx Function (collective).
 
-        In a disk sector, the function's values are components along x, y (and z) at all nodes
-        (collective).
+        The function is 0 at clamped dofs. In a disk's sector, the dofs on the right side are
+        components along the next sector's axes. The function's values are components along x, y
+        (and z) at all nodes.
         """
         function = dolfinx.fem.Function(self.space)
         rotated_displacement = (

@@ -54,8 +54,8 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
 def list_mean_cos_and_sin_force_vectors(scene: Scene) -> list[Vector]:
     """Return the force vectors of ``[excitation]``: mean, then cosine and sine parts [N].
 
-    The list has 2K+1 vectors, K the highest order among all loads in the scene. Parts without a
-    force are zero vectors.
+    K is the highest order among all loads in the scene. The list has 2K+1 vectors: mean, cosine and
+    sine part of order 1, then of order 2, up to K. A part without a force is a zero vector.
     """
     excitation, zero_vector = scene.excitation, (0.0,) * scene.dimension
     mean_cos_and_sin_forces = excitation.force_mean, excitation.force_cos, excitation.force_sin
@@ -83,12 +83,15 @@ def fit_load_wave_harmonics_and_residual(
 ) -> tuple[np.ndarray, float]:
     """Compute Fourier coefficients from a load's ``wave``, a table of force over a period.
 
+    ``dimension`` is the number of force components in the table, 2 or 3.
+
     Returns
     -------
     coefficients : (2K+1, dimension)
-        Mean, then cosine and sine parts of each order up to K = ``wave_harmonics``.
+        Mean, then cosine and sine part of each order, from 1 to K = ``wave_harmonics``.
     residual : float
-        Root mean square of the table less these harmonics, relative to the table less the mean.
+        Root mean square of the table minus the fitted Fourier series, divided by the root mean
+        square of the table minus the mean.
     """
     return read_load_harmonics_and_error(
         load.full_key("wave"), load.given("wave"), load.wave_harmonics, dimension

@@ -63,9 +63,9 @@ def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     Returns
     -------
     NamedParts
-        gmsh's group tags of the named surfaces.
+        gmsh's group tags for the named surfaces.
     Cracks
-        Crack surfaces in the order of the scene.
+        Crack surfaces in the scene's order.
 
     Raises
     ------
@@ -128,10 +128,10 @@ def read_part_triangles_and_owners(
 def describe_faces_cracks_and_fronts(scene: Scene, structure: Structure) -> dict[str, str]:
     """Describe named faces, crack positions and crack fronts, as text by name (collective).
 
-    A face's text has area and centre. A crack's text has the distance between the crack's point and
-    the solid's surface. A front's text has the length, the crack's largest depth, and the shortest
-    distance ahead to the surface. Depth and distance ahead are measured in the middle 80 % of the
-    front, to the mesh's plane facets.
+    A face's text has area and centre. A crack's text has the distance from the point given for the
+    crack to the solid's surface. A front's text has the length, the crack's largest depth, and the
+    shortest distance ahead to the surface. Depth and distance ahead are measured from nodes in the
+    middle 80 % of the front. The surface is approximated by plane facets.
     """
     from fenics_crack.fem.fronts import find_fronts  # takes a while, with SciPy's splines
 
@@ -215,8 +215,16 @@ def describe_faces_cracks_and_fronts(scene: Scene, structure: Structure) -> dict
 def find_ray_hit_distance(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) -> float:
     """Return the distance from a point to the first triangle along a ray [m].
 
-    ``direction`` (3,) has the length 1; ``triangles`` are (n, 3, 3) [m]. Without a hit, the result
-    is the largest extent of all triangles along x, y or z.
+    Without a hit, the result is the largest extent of all triangles along x, y or z.
+
+    Parameters
+    ----------
+    point : (3,) [m]
+        Start of the ray. Triangles at this point do not count.
+    direction : (3,)
+        Unit vector along the ray.
+    triangles : (n, 3, 3) [m]
+        Corners of the triangles.
     """
     side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     direction_cross_side_2 = np.cross(direction, side_2)
@@ -233,10 +241,14 @@ def find_ray_hit_distance(point: np.ndarray, direction: np.ndarray, triangles: n
 
 
 def find_reaches_from_crack_middle(scene: Scene) -> tuple[float, float]:
-    """Measure how far the solid reaches from the first crack's middle [m].
+    """Measure how far the solid reaches from the first crack's middle, in the crack's plane.
 
-    The solid is cut by the crack's plane. The results are the distances along the crack's direction
-    e_1 to the farthest point of the section behind the middle, then ahead. Both are >= 0.
+    Returns
+    -------
+    float [m]
+        Largest distance behind the middle, measured along the crack's direction e_1.
+    float [m]
+        Largest distance ahead of the middle, measured along e_1. Both are >= 0.
     """
     crack, geometry = _make_mesher_cracks(scene, 1.0)[0], scene.geometry
     solid_surface_triangles = (
@@ -352,9 +364,10 @@ def _run_mesher(
 
 
 def _value_for_message(scene: Scene, key: str) -> object:
-    """Return the value of a scene's key "table.field" for a message.
+    """Return a scene's value for an error message.
 
-    The value of a field "faces" is a list of tables; here each table is replaced by its key.
+    ``key`` is "table.field", as "mesh.size". The value of a field "faces" is a list of tables; in
+    the result each table is replaced by its key.
     """
     table_name, _, field_name = key.rpartition(".")
     value = getattr(scene.crack_by_name.get(table_name) or getattr(scene, table_name), field_name)
@@ -397,15 +410,15 @@ def _make_mesher_cracks(scene: Scene, metres_per_unit: float) -> list[dict[str, 
 
 
 def _make_box_crack_geometry(crack: Crack, box_sides: Sequence[float]) -> dict[str, Any]:
-    """Return position and shape of a crack in a box, in a plane y = ``height``.
+    """Return position and shape of a crack in a box, in the plane y = ``crack.height``.
 
-    The crack is an ellipse or rectangle centred on the face z = thickness. ``box_sides`` are the
-    box's width, height and thickness.
+    The crack is an ellipse or a rectangle with its centre on the face z = thickness. ``box_sides``
+    are the box's width, height and thickness, in the mesh's unit.
 
     Returns
     -------
     dict
-        Keys "middle", "half", "frame", "is_round" and "reach" for
+        Keys "middle", "half", "frame", "is_round" and "reach", as described in
         :func:`fenics_crack.fem.solid_mesher.insert_cracks`.
     """
     width, _, thickness = box_sides

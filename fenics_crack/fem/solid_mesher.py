@@ -198,7 +198,7 @@ def triangulate_faces_coarsely() -> tuple[np.ndarray, np.ndarray]:
     triangles : (n, 3, 3) [mm]
         Corners of the triangles.
     owners : (n,) int
-        gmsh's tag of the face on which each triangle lies.
+        gmsh's tag for the face on which each triangle lies.
     """
     bounding_box_corners = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     max_size = (
@@ -275,21 +275,26 @@ def _find_names_and_face_tags(
     part_triangles: np.ndarray,
     triangle_faces: np.ndarray,
 ) -> Iterable[tuple[str, set[int]]]:
-    """Find the faces named by a user through points.
+    """Find the faces of a CAD part named by a user through points.
 
     Parameters
     ----------
     names_and_points : pairs of (str, (3,)) [mm]
         Name of a face, and a point on the face. A name may occur with several points.
-    part_triangles, triangle_faces
-        Corners of a coarse mesh of the part's faces (n, 3, 3) [mm], and gmsh's tag of the face of
-        each triangle (n,).
+    part_triangles : (n, 3, 3) [mm]
+        Corners of triangles in a coarse mesh on all faces of the part.
+    triangle_faces : (n,) int
+        gmsh's face tag for each triangle.
 
     Returns
     -------
     pairs of (str, set of int)
-        Each name with gmsh's tags of the faces nearest to the points. Refusal if a point is farther
-        than a tenth of the part's size from all faces.
+        Each name with gmsh's tags for the faces nearest to the points.
+
+    Raises
+    ------
+    Refusal
+        A point is farther than a tenth of the part's size from all faces.
     """
     part_size = np.ptp(part_triangles.reshape(-1, 3), axis=0).max()
     face_tags_by_name: dict[str, set[int]] = {}
@@ -311,10 +316,22 @@ def _match_outer_surfaces_to_faces(
 ) -> dict[int, int]:
     """Match each outer surface of the cracked part to a face of the uncracked part.
 
-    ``crack_surface_tags`` are gmsh's tags of the cracks, left out here. The uncracked part is given
-    by a coarse mesh: ``part_triangles`` (n, 3, 3) are the corners, ``triangle_faces`` (n,) gmsh's
-    tag of each triangle's face. Returns the face's tag by the surface's tag; 0 for a surface
-    without triangles.
+    Used because a crack changes gmsh's tags, but names belong to faces of the uncracked part.
+
+    Parameters
+    ----------
+    crack_surface_tags : list of int
+        gmsh's tags for the cracks; they are not matched.
+    part_triangles : (n, 3, 3)
+        Corners of triangles in a coarse mesh on the faces of the uncracked part.
+    triangle_faces : (n,) int
+        gmsh's face tag for each triangle.
+
+    Returns
+    -------
+    dict of int to int
+        Tag of the uncracked part's face, by tag of the cracked part's surface. 0 for a surface
+        without triangles.
     """
     face_of_surface = {}
     for _, surface_tag in gmsh.model.getEntities(2):
@@ -359,9 +376,9 @@ def insert_cracks(
     Returns
     -------
     surfaces : list of int
-        gmsh's tag of each crack's surface.
+        gmsh's tag for each crack's surface.
     fronts : list of dict
-        Keys: "curves", gmsh's tags of the front's curves; "points", on the curves (n, 3); "ends",
+        Keys: "curves", gmsh's tags for the front's curves; "points", on the curves (n, 3); "ends",
         end points of the front (m, 3); "shortest", element length at the front; "growth", increase
         of the element length per distance; "length", length of the front.
     """
@@ -430,9 +447,10 @@ def insert_cracks(
 
 
 def _describe_part_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
-    """Return text for an error: the part's extent.
+    """Return text for an error: the range of coordinates [m] of the uncracked part.
 
-    If the crack's point seems to be in mm, the text has a hint.
+    If the crack's point seems to be in mm, the text has a hint. ``part_triangles`` (n, 3, 3) are
+    triangles on the part's faces, in the mesh's unit.
     """
     lower_corner, upper_corner = part_triangles.min(axis=(0, 1)), part_triangles.max(axis=(0, 1))
     lower_corner_text, upper_corner_text = (
@@ -450,7 +468,11 @@ def _describe_part_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
 
 
 def _draw_crack_face(crack: CrackData) -> Tags:
-    """Draw a crack's ellipse or rectangle in gmsh; return dimension and tag in a list."""
+    """Draw a crack's ellipse or rectangle in gmsh at the crack's position.
+
+    ``crack`` has the keys in :func:`insert_cracks`. Returns a list with gmsh's (dimension, tag) of
+    the face.
+    """
     occ, (e_1, e_2, normal), (half_axis_a, half_axis_b) = (
         gmsh.model.occ,
         np.array(crack["frame"]),
@@ -499,10 +521,11 @@ def _sample_curve(curve_tag: int) -> np.ndarray:
 
 
 def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
-    """Return the data of a crack's front (keys in :func:`insert_cracks`).
+    """Return the front of a crack as a dict, with the keys in :func:`insert_cracks`.
 
-    ``rim`` has gmsh's tags of all curves around the crack's surface. The curves on the border of
-    the ellipse or rectangle form the front; all other curves lie on the part's surface.
+    ``rim`` has gmsh's tags for all curves around the crack's surface. The curves on the border of
+    the ellipse or rectangle form the front; all other curves lie on the part's surface. ``crack``
+    has the keys in :func:`insert_cracks`.
     """
     half_axes, frame, is_straight = crack["half"], np.array(crack["frame"]), crack["reach"] is None
     front_curves, point_arrays, extent_behind_front = [], [np.zeros((0, 3))], 0.0
@@ -547,12 +570,22 @@ def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
 def _check_front_and_ligament_exist(
     crack: CrackData, surface_tag: int, front: FrontData, part_triangles: np.ndarray
 ) -> None:
-    """Raise Refusal if a crack lies in a face, or its front is too close to the surface.
+    """Raise Refusal if a crack lies in a face of the part, or the front is too close to a face.
 
-    The crack's centre, and the front except near its ends, must be at least 0.1 element lengths
-    from the part's surface. A crack without a front inside the part is refused, too.
-    ``surface_tag`` is gmsh's tag of the crack's surface. ``part_triangles`` (n, 3, 3) are triangles
-    on the faces of the part.
+    The limit is 0.1 times the element length at the front. The crack's centre, and the front except
+    near its ends, must be farther than this from the part's faces. A crack without a front inside
+    the part is refused, too.
+
+    Parameters
+    ----------
+    crack : CrackData
+        Crack, with the keys in :func:`insert_cracks`.
+    surface_tag : int
+        gmsh's tag for the crack's surface.
+    front : FrontData
+        The crack's front, with the keys in :func:`insert_cracks`.
+    part_triangles : (n, 3, 3)
+        Triangles on the faces of the part.
     """
     point_key, shortest_element_length = f"{crack['key']}.point", front["shortest"]
     centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface_tag)])
@@ -584,14 +617,22 @@ def _check_front_and_ligament_exist(
 def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:
     """Estimate the number of cells for gmsh's current model.
 
+    Around a front the elements are shorter. The number is 5 L int 2 pi d / h^3 dd, with the
+    front's length L, the distance d from the front, and the element length h at d.
+
+    Parameters
+    ----------
+    size : float
+        Element length far from the fronts, in the mesh's unit.
+    fronts : list of FrontData
+        Fronts, with the keys in :func:`insert_cracks`.
+
     Returns
     -------
     float
-        Number of cells with length ``size`` in the whole volume.
+        Number of cells if the element length were ``size`` in the whole volume.
     float
-        Number of cells in tubes around the fronts, with elements shorter than ``size``. For each
-        front the number is 5 L int 2 pi d / h^3 dd. L is the front's length, d the distance from
-        the front, and h the element length at d.
+        Number of cells around the fronts, with elements shorter than ``size``.
     """
     relative_volume = (
         sum(gmsh.model.occ.getMass(3, volume_tag) for _, volume_tag in gmsh.model.getEntities(3))
@@ -613,8 +654,8 @@ def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple
 def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> None:
     """Mesh gmsh's current model with elements of length ``size``, shorter at fronts.
 
-    ``per_turn`` is the number of elements on a full turn of a curved face; 0: no limit by
-    curvature.
+    ``fronts`` have the keys in :func:`insert_cracks`. ``per_turn`` is the number of elements around
+    a full circle of a curved face; 0: curved faces have no shorter elements.
     """
     length_fields = []
     for front in fronts:
@@ -647,15 +688,26 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
 def add_graded_field(
     list_name: str, tags: list[int], size: float, shortest: float, growth: float
 ) -> tuple[int, int]:
-    """Add gmsh's fields for the element length ``shortest`` + ``growth`` d, at most ``size``.
+    """Make the element length in gmsh grow with the distance from points or curves.
 
-    d is the distance from gmsh's entities ``tags``, which are curves if ``list_name`` is
-    "CurvesList", points if it is "PointsList".
+    At the distance d the length is ``shortest`` + ``growth`` d, at most ``size``. The field has an
+    effect only after :func:`use_smallest_length`.
+
+    Parameters
+    ----------
+    list_name : str
+        "CurvesList" if the tags belong to curves, "PointsList" for points.
+    tags : list of int
+        gmsh's tags for the curves or points.
+    size, shortest : float
+        Longest and shortest element length.
+    growth : float
+        Increase of the element length per distance.
 
     Returns
     -------
     distance_field, length_field : int
-        gmsh's tags of the fields.
+        gmsh's tags for the field of distances, and of the field of element lengths.
     """
     field = gmsh.model.mesh.field
     distance_field, length_field = field.add("Distance"), field.add("Threshold")
@@ -671,14 +723,20 @@ def add_graded_field(
 
 
 def use_smallest_length(length_fields: list[int]) -> None:
-    """Make gmsh's element length the minimum of length fields, given by gmsh's tags."""
+    """Set gmsh's element length to the smallest of several length fields, at every point.
+
+    ``length_fields`` are gmsh's tags from :func:`add_graded_field`.
+    """
     minimum_field = gmsh.model.mesh.field.add("Min")
     gmsh.model.mesh.field.setNumbers(minimum_field, "FieldsList", length_fields)
     gmsh.model.mesh.field.setAsBackgroundMesh(minimum_field)
 
 
 def set_size_options(**options: float) -> None:
-    """Set gmsh's options for element lengths: ``Max=2.0`` sets ``Mesh.MeshSizeMax``."""
+    """Set gmsh's options for element lengths, by the end of the option's name.
+
+    As an example, ``set_size_options(Max=2.0)`` sets ``Mesh.MeshSizeMax`` to 2.
+    """
     for option_suffix, option_value in options.items():
         gmsh.option.setNumber(f"Mesh.MeshSize{option_suffix}", option_value)
 
@@ -686,14 +744,14 @@ def set_size_options(**options: float) -> None:
 def collect_mesh(
     crack_surface_tags: list[int], surface_tags_by_name: dict[str, list[int]]
 ) -> dict[str, Any]:
-    """Collect gmsh's current mesh, with named surfaces and cracks as groups.
+    """Collect gmsh's current mesh as arrays, with the solid, named surfaces and cracks as groups.
 
     Parameters
     ----------
     crack_surface_tags : list of int
-        gmsh's tag of each crack.
+        gmsh's tag for each crack. The groups are named "crack 1", "crack 2" and so on.
     surface_tags_by_name : dict of str to list of int
-        gmsh's tags of the surfaces with each name.
+        gmsh's tags for the surfaces with each name.
 
     Returns
     -------
@@ -717,18 +775,20 @@ def collect_mesh(
 def collect_nodes_and_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
     """Collect the nodes and named groups of gmsh's current mesh as arrays.
 
-    A group with several kinds of elements, or several entities, becomes several rows in the arrays.
-
     Parameters
     ----------
     groups : list of (dimension, tag, name, entities)
-        Groups, with gmsh's tags of the entities in each.
+        Groups, with gmsh's tags for the points, curves, surfaces or volumes in each.
 
     Returns
     -------
     dict
-        "numbers" (n,) and "positions" (n, 3) of all nodes. For m rows: "heads" (m, 4), dimension,
-        group tag, gmsh's kind of elements, number of entries in "nodes"; "names" (m,), group names.
+        For all nodes: "numbers" (n,) and "positions" (n, 3).
+
+        For each group: a row in "names" (m,), and in "heads" (m, 4): dimension, group tag, gmsh's
+        kind of elements, number of entries in "nodes". A group with several kinds of elements or
+        several entities has several rows.
+
         "nodes": node numbers of all elements, row after row.
     """
     node_numbers, node_positions, _ = gmsh.model.mesh.getNodes()
@@ -758,15 +818,22 @@ def straighten_edges(
 ) -> tuple[np.ndarray, int]:
     """Straighten the edges of cells at crack fronts, and of nearly folded cells.
 
-    ``array_by_name`` has the arrays of :func:`collect_nodes_and_groups` for quadratic tetrahedra.
-    Middle nodes move to the middle of the edge.
+    To straighten an edge, the middle node is moved halfway between the ends. A cell is nearly
+    folded if its Jacobian determinant varies too much.
+
+    Parameters
+    ----------
+    array_by_name : dict
+        Arrays of :func:`collect_nodes_and_groups` for quadratic tetrahedra.
+    fronts : list of FrontData
+        Fronts, with the keys in :func:`insert_cracks`.
 
     Returns
     -------
     positions : (n_nodes, 3)
         New positions of all nodes.
     int
-        Number of changed cells.
+        Number of cells that had a curved edge and are straight now.
     """
     positions, node_numbers = array_by_name["positions"].copy(), array_by_name["numbers"]
     number_order = np.argsort(node_numbers)
