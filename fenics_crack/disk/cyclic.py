@@ -453,8 +453,9 @@ class NodalDiameterSolver:
     def solve(self, forces: np.ndarray) -> np.ndarray:
         """Return the response K_n^-1 f [m] to forces f on the sector's own dofs.
 
-        K_n is the sector's stiffness with tied sides for the nodal diameter n. ``forces`` (n_own,
-        m) [N] are real or complex; the response has the same shape.
+        Own dofs are all except on the right side and the upper crack face. K_n is the sector's
+        stiffness with tied sides for the nodal diameter n. ``forces`` (n_own, m) [N] are real or
+        complex; the response has the same shape.
         """
         inside_motion = self.solve_inside(forces[self.inside_rows])
         inside_side_stiffness = self.inside_side_stiffness

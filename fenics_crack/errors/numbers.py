@@ -104,7 +104,8 @@ def compute_numbers(
     """Compute the requested quantities and natural frequencies of a motion (collective).
 
     Quantities equal to zero, except for rounding, are left out. The natural frequencies are the
-    first three with open crack. The open, bonded and bilinear frequency of ``mode_number`` follow.
+    first three with open crack, then three for ``mode_number``: with open crack, with bonded crack,
+    and bilinear (:func:`find_bilinear_omega`).
 
     Parameters
     ----------
@@ -114,8 +115,8 @@ def compute_numbers(
     motion : PeriodicSolution or OrbitTruncatedToHarmonics
         Motion with the quantities.
     mode_number : int, optional
-        Resonant mode, counted from 1. Default: the mode with the resonance nearest to the
-        load frequency.
+        Resonant mode, counted from 1. Default: the mode with the resonance nearest to the load
+        frequency.
     """
     quantity_names = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
     values_by_name: dict[str, float] = {}

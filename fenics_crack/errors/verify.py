@@ -454,8 +454,8 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         Returns
         -------
         PartOrReason
-            Element counts on the answer's mesh and on the last finer mesh, and the error by
-            quantity name. "" if ``verification`` has no errors due to the mesh.
+            Element counts on the answer's mesh and on the finest mesh, and the error by quantity
+            name. "" if ``verification`` has no errors due to the mesh.
         """
         if "mesh" not in verification.parts:
             return ""
