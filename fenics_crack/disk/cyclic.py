@@ -245,7 +245,8 @@ class Sector:
         (k,) [rad/s]
             Frequencies, ascending.
         (n_dofs, k)
-            Shapes with v^H M v = 1 and v^H K v diagonal.
+            Mode shapes v with v^H M v = 1, for the sector's mass M. For different shapes v and u,
+            v^H M u and v^H K u are 0, with the stiffness K.
         """
         squared_norms, eigenvectors = np.linalg.eigh(shapes.conj().T @ (self.mass @ shapes))
         is_kept = squared_norms > STIFFNESS_SOLUTION_ROUNDING * squared_norms[-1]
@@ -318,10 +319,10 @@ def make_selection_matrix(columns: np.ndarray, n_columns: int) -> sparse.csr_mat
 class NodalDiameterSolver:
     """Solver of K_n x = f for a single nodal diameter n.
 
-    K_n is the stiffness of a sector with tied sides: the right side moves as the left side times
-    e^(it), with t = 2 pi n / N. The wheel has N sectors, is tuned, and has bonded cracks. The dofs
-    inside the sector (index i) are eliminated once for all nodal diameters. A dense stiffness S_n
-    for the left side (index l) remains:
+    x are a sector's displacements, f the forces, and K_n is the stiffness with tied sides. A tied
+    right side moves as the left side times e^(it), with t = 2 pi n / N. The wheel has N sectors, is
+    tuned, and has bonded cracks. The dofs inside the sector (index i) are eliminated once for all
+    nodal diameters. A dense stiffness S_n for the left side (index l) remains:
 
         S_n = P + e^(it) R + e^(-it) R^T
 
@@ -493,7 +494,7 @@ class NodalDiameterSolver:
         (n_modes,) [rad/s]
             Natural frequencies, ascending.
         (n_dofs, n_modes)
-            Mode shapes v over a sector's dofs, with v^H M v = 1.
+            Mode shapes v over a sector's dofs, with v^H M v = 1 for the sector's mass M.
         """
         sector, tie_matrix = self.sector, self.tie_matrix
 
@@ -648,7 +649,7 @@ class CyclicBasis:
 
         U_j (n_dofs, n) has the sector's displacement in each of n motions of the basis. ``matrix``
         is A (n_dofs, n_dofs), the stiffness or mass over a sector's dofs. ``column_range`` selects
-        k columns of the projection for computing. Yields N matrices (n, k).
+        the k columns to compute. Yields N matrices (n, k).
         """
         matrix_times_modes = replace(
             self.cyclic_modes, shapes=tuple(matrix @ shapes for shapes in self.cyclic_modes.shapes)
@@ -737,9 +738,10 @@ def make_cyclic_basis(
 
     Used to reduce the mistuned wheel. The ranks share the nodal diameters. For each nodal diameter
     the basis has modes v with frequency w, and static responses to the load and to forces on the
-    right side. In a mode, a sector transmits the force (K - w^2 M) v to the next sector. Mistuning
-    and cracks change this force. The forces on the right side are a few patterns, from the modes of
-    up to three nodal diameters.
+    right side. The forces on the right side represent forces between sectors. In a mode, a free
+    sector with stiffness K and mass M transmits the force (K - w^2 M) v to the next sector.
+    Mistuning and cracks change this force. A few force patterns, from the modes of up to three
+    nodal diameters, approximate all changes.
 
     For each crack the basis has openings: static motions of the wheel with separating crack faces.
     Openings are responses to contact forces and to bond forces. Bond forces hold a closed crack
@@ -931,9 +933,9 @@ def _compute_crack_bond_forces(
 ) -> np.ndarray:
     """Return scaled bond forces on the upper face of a closed crack.
 
-    Bond forces hold a bonded crack together. In a mode v with frequency w the forces are (K - w^2
-    M) v, divided here by w. Under a load f with static response x the forces are K x - f, divided
-    here by sqrt(f^H x). f^H x is the load's work.
+    Bond forces hold a bonded crack together. K and M are the free sector's stiffness and mass. In a
+    mode v with frequency w the forces are (K - w^2 M) v, divided here by w. Under a load f with
+    static response x the forces are K x - f, divided here by sqrt(f^H x). f^H x is the load's work.
 
     The scale shows the effect of an opening crack. Let b be a scaled bond force, and C the
     compliance of the crack's opening. If the bond force is released, w^2 falls by the fraction b^H
@@ -1056,8 +1058,8 @@ def _find_side_force_patterns(
     """Find the main patterns of the forces on a sector's right side in modes.
 
     Used to approximate all forces between sectors. In a mode v with frequency w, the force on the
-    right side is (K - w^2 M) v, divided here by w^2. Patterns with less than half the largest
-    singular value are left out.
+    right side is (K - w^2 M) v, divided here by w^2. K and M are the sector's stiffness and mass.
+    Patterns with less than half the largest singular value are left out.
 
     Parameters
     ----------

@@ -96,10 +96,10 @@ class GridConvergence(Described):
 
     @property
     def has_error_from_limit(self) -> bool:
-        """True if the error is the distance to the extrapolated value.
+        """True if a value's error is the distance to the extrapolated value.
 
-        For the behaviours "irregular", "carried" and "two coefficients", the error is the spread of
-        all values.
+        For the behaviours "irregular", "carried" and "two coefficients", False: the error is then
+        the spread of all values.
         """
         return self.behaviour not in ("irregular", "carried", "two coefficients")
 

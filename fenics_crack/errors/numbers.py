@@ -59,8 +59,9 @@ from fenics_crack.study.prepare import Study
 def natural_frequency_name(scene: Scene, kind: str, mode_number: int) -> str:
     """Return a natural frequency's name, such as "frequency_open_1" or "omega_open_1".
 
-    ``kind`` is "open", "tied" (bonded) or "bilinear"; modes count from 1. Scenes in Hz have
-    "frequency", in rad/s "omega".
+    If the scene states frequencies in Hz, the name begins with "frequency", otherwise with "omega".
+    ``kind`` is "open", "tied" (bonded crack) or "bilinear" (:func:`find_bilinear_omega`).
+    ``mode_number`` counts from 1.
     """
     return f"{'frequency' if scene.is_frequency_in_hertz else 'omega'}_{kind}_{mode_number}"
 
@@ -476,9 +477,14 @@ def _pair_contributions_by_name(
 ) -> dict[str, np.ndarray]:
     """Return each pair's contribution (n_pairs,) to sums over contact pairs, by quantity name.
 
-    "closed_share" is the fraction of the period in which the pair is closed, divided by n_pairs.
-    "slip_share" is the same for slipping. "friction_loss" is the pair's dissipated energy. Without
-    friction, "closed_share" alone is returned.
+    ``record`` gives the number of pairs and the friction coefficient. ``crack_faces`` gives gaps
+    and forces. The contributions are:
+
+    - "closed_share": fraction of the period in which the pair is closed, divided by n_pairs,
+    - "slip_share": fraction of the period in which the pair slips, divided by n_pairs,
+    - "friction_loss": dissipated energy in the pair [J].
+
+    Without friction, the result has "closed_share" alone.
     """
     contributions_by_name = {
         "closed_share": (crack_faces.force > 0.0).mean(axis=0) / record.n_pairs
