@@ -246,9 +246,9 @@ def draw_displaced_mesh(
 ) -> Any:
     """Draw a displaced mesh, coloured by nodal values.
 
-    Black lines are the displaced boundary of a plate, or the displaced sharp edges of a solid.
-    Thick grey lines show the boundary or sharp edges at rest. Thin grey lines are the edges of a
-    plate's cells. With ``is_wheel``, no grey lines are drawn.
+    Black lines are the displaced boundary of a plate, or the displaced sharp edges of a solid. Grey
+    lines show the boundary or the sharp edges at rest. In a plate, thin grey lines show the
+    displaced edges of all cells. With ``is_wheel``, no grey lines are drawn.
 
     Parameters
     ----------

@@ -265,9 +265,9 @@ def draw_verification(found: Verification, **picture_options: Unpack[PictureOpti
     convergence have no line.
 
     The second panel has a row for each quantity. The row shows the marker from the first panel, the
-    uncertainty by cause, and the observed order of convergence, the slope of the line. A hollow
-    mark means a safety factor of 3, a filled mark at most 1.25. Black bars are the total, the root
-    of the sum of squares.
+    uncertainty by cause, and the observed order of convergence, the slope of the line. A filled
+    mark means a safety factor of at most 1.25, a hollow mark a larger factor, mostly 3. Black bars
+    are the total, the root of the sum of squares.
 
     Parameters
     ----------
