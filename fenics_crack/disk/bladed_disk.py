@@ -425,11 +425,12 @@ def amplification(
 ) -> Amplification:
     """Find a disk's amplification factors for random mistuning patterns (collective).
 
-    The disk has no cracks. The largest response is sought near 2 N natural frequencies, with N
-    blades: the N modes of a family, and N modes next to these in frequency. A family has the same
-    mode number at all nodal diameters. At the excited nodal diameter, the chosen family is nearest
-    to the scene's load frequency. The amplitude is taken at the watched dof, and at the same place
-    on every blade. Ranks share the patterns.
+    The disk has N blades and no cracks. A family has N modes: the modes with the same mode number
+    at all nodal diameters. The chosen family has the natural frequency nearest to the scene's load
+    frequency, at the nodal diameter excited by the load. For each pattern the largest response is
+    sought near 2 N natural frequencies: N in this family, and the N next to the family. The
+    amplitude is taken at the watched dof, and at the same place on every blade. Ranks share the
+    patterns.
 
     Parameters
     ----------
@@ -534,11 +535,13 @@ frequency [rad/s] and the blade's number from 1.
 def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     """Return a function for a mistuned wheel's largest response without contact.
 
-    The function (``PeakFinder``) takes the sectors' relative stiffness deviations (N,) and returns
-    amplitude [m], load frequency [rad/s] and blade number. The search is next to 2 N natural
-    frequencies: N modes in a family, and N modes next to these in frequency. A family has the same
-    mode number at all nodal diameters. The chosen family is nearest to ``load_omega`` [rad/s] at
-    the excited nodal diameter.
+    Used to compare random mistuning patterns. The returned function (``PeakFinder``) takes the
+    sectors' relative stiffness deviations (N,). The results are the largest amplitude [m], the load
+    frequency [rad/s] at this amplitude, and the blade number, from 1.
+
+    The function searches near 2 N natural frequencies: N in a chosen family, and the N next to the
+    family. A family has the same mode number at all nodal diameters. The chosen family has the
+    natural frequency nearest to ``load_omega`` [rad/s], at the nodal diameter excited by the load.
 
     Raises
     ------

@@ -59,10 +59,12 @@ def excited_diameter(engine_order: int, n_sectors: int) -> int:
 
 
 class SectorNumbering:
-    """Numbering of a sector's dofs or nodes; members with equal motions share a number.
+    """Number a sector's dofs or nodes; dofs or nodes with equal motions share a number.
 
-    The n members of the sector are either all dofs or all nodes. The right side moves as the left
-    side of the next sector, the upper crack face as the lower face (bonded crack).
+    Either dofs or nodes are numbered; each is called a member here. The sector has n members.
+    Members on the right side move as members on the left side of the next sector. The crack is
+    bonded: members on the upper crack face move as members on the lower face. Used to keep each
+    motion once in the wheel's equations.
 
     Attributes
     ----------
@@ -82,14 +84,14 @@ class SectorNumbering:
     ) -> None:
         """Number a sector's dofs or nodes, called members here.
 
-        Sets the attributes. Bonded or tied members get the same position in
-        ``own_members``.
+        Members on the right side share the number of the matching member on the left side. Members
+        on the upper crack face share the number of the matching member on the lower face.
 
         Parameters
         ----------
         node_members : (n_nodes, k) int
-            For dofs: the k dofs of each node, -1 for a clamped dof. For nodes: the node, with k =
-            1.
+            For dofs: the k dofs of each node, -1 for a clamped dof. For nodes: the node's own
+            index, with k = 1.
         side_nodes : (2, m) int
             Nodes on the left side, and matching nodes on the right side.
         crack_face_nodes : (2, p) int
@@ -113,17 +115,23 @@ class SectorNumbering:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Number the dofs or nodes of a wheel with N sectors and open cracks.
 
-        A sector has n members: all dofs or all nodes. ``cracked_sectors`` are the sectors with an
-        open crack, from 0.
+        A sector has n members: all dofs or all nodes. Members with equal motions share a number in
+        the wheel. On an open crack, each member on the upper face has a separate number.
+
+        Parameters
+        ----------
+        n_sectors : int
+            N, the number of sectors.
+        cracked_sectors : sequence of int
+            Sectors with an open crack, from 0; in all further sectors the crack is bonded.
 
         Returns
         -------
         (N, n) int
-            For each sector's members, the number in the wheel. Members moving together have the
-            same number.
+            For each sector and each member in the sector, the number in the wheel.
         (n_wheel,) int
-            For each number in the wheel, a member, the owner: sector times n, plus the position
-            in the sector.
+            For each number in the wheel, a single member with this number: sector times n, plus the
+            member's position in the sector.
         """
         all_members = np.arange(n_sectors * len(self.member_positions)).reshape(n_sectors, -1)
         owner_sectors = (np.arange(n_sectors)[:, None] + self.belongs_to_next_sector) % n_sectors
@@ -187,9 +195,11 @@ class Sector:
 
     @property
     def load_shares_of_diameters(self) -> np.ndarray:
-        """Load fraction on sector 0 for each nodal diameter: (N/2 + 1,).
+        """Fraction of a load on sector 0 for each nodal diameter: (N/2 + 1,).
 
-        The fraction is 2/N for the waves n and -n together, and 1/N for n = 0 and N/2.
+        A load on sector 0 alone is the sum over N equal waves around the wheel, each with the
+        fraction 1/N. A nodal diameter n has two waves, n and -n, and so the fraction 2/N. The nodal
+        diameters 0 and N/2 have a single wave, and the fraction 1/N.
         """
         multiplicities = [
             1.0 if self.has_single_wave(n) else 2.0 for n in self.nodal_diameter_range
@@ -235,7 +245,8 @@ class Sector:
         (k,) [rad/s]
             Frequencies, ascending.
         (n_dofs, k)
-            Shapes with v^H M v = 1 and v^H K v diagonal.
+            Mode shapes v with v^H M v = 1, for the sector's mass M. For different shapes v and u,
+            v^H M u and v^H K u are 0, with the stiffness K.
         """
         squared_norms, eigenvectors = np.linalg.eigh(shapes.conj().T @ (self.mass @ shapes))
         is_kept = squared_norms > STIFFNESS_SOLUTION_ROUNDING * squared_norms[-1]
@@ -308,10 +319,15 @@ def make_selection_matrix(columns: np.ndarray, n_columns: int) -> sparse.csr_mat
 class NodalDiameterSolver:
     """Solver of K_n x = f for a single nodal diameter n.
 
-    The wheel is tuned, with bonded cracks. The dofs inside the sector (i) are eliminated once for
-    all nodal diameters. A dense matrix for the left side (l) remains:
+    x are a sector's displacements, f the forces, and K_n is the stiffness with tied sides. A tied
+    right side moves as the left side times e^(it), with t = 2 pi n / N. The wheel has N sectors, is
+    tuned, and has bonded cracks. The dofs inside the sector (index i) are eliminated once for all
+    nodal diameters. A dense stiffness S_n for the left side (index l) remains:
 
-        S_n = P + e^(it) R + e^(-it) R^T,        t = 2 pi n / N
+        S_n = P + e^(it) R + e^(-it) R^T
+
+    P is the condensed stiffness within the left and within the right side. R is the condensed
+    stiffness between left and right side.
 
     Attributes
     ----------
@@ -320,11 +336,12 @@ class NodalDiameterSolver:
     factorised_inside_stiffness : Factor
         Factor of the inside's stiffness K_ii.
     own_and_next_tie_matrices : (n_dofs, 2 n_own)
-        [T_0, T_1]: u_j = T_0 m_j + T_1 m_(j+1) for the sectors' own dofs m.
+        [T_0, T_1], side by side. The displacement of sector j is T_0 m_j + T_1 m_(j+1), with the
+        own dofs m_j of this sector and m_(j+1) of the next sector.
     inside_rows, side_rows : (n_inside,), (n_side,) int
         Positions among the sector's own dofs: inside, and on the left side.
     inside_left_and_right_stiffness : pair of (n_inside, n_side)
-        Stiffness K_il [N/m] between inside and left side, then inside and right side.
+        Stiffness [N/m] between inside and left side, then between inside and right side.
     condensed_side_stiffness, left_right_stiffness : (n_side, n_side) [N/m]
         P and R.
     phase_factor : complex
@@ -356,9 +373,10 @@ class NodalDiameterSolver:
 
     @cached_property
     def tie_matrix(self) -> sparse.csr_matrix:
-        """T_n = T_0 + e^(i 2 pi n / N) T_1: (n_dofs, n_own).
+        """Tie matrix T_n = T_0 + e^(i 2 pi n / N) T_1: (n_dofs, n_own).
 
-        Multiplied by a sector's own dofs, T_n gives all dofs in this sector.
+        T_n gives all dofs of a sector from the own dofs, in a wave with nodal diameter n. Own dofs
+        are all except on the right side and the upper crack face.
         """
         n_independent_dofs = self.own_and_next_tie_matrices.shape[1] // 2
         return sparse.csr_matrix(
@@ -376,9 +394,10 @@ class NodalDiameterSolver:
 
     @cached_property
     def inside_side_stiffness(self) -> sparse.csr_matrix:
-        """Stiffness K_il between inside and left side for this nodal diameter [N/m].
+        """Stiffness K_il [N/m] between inside and left side: (n_inside, n_side).
 
-        Shape (n_inside, n_side); the right side's part has the phase factor.
+        The right side moves as the left side times the phase factor. So K_il has two parts: the
+        stiffness to the left side, and the phase factor times the stiffness to the right side.
         """
         return sparse.csr_matrix(
             self.inside_left_and_right_stiffness[0]
@@ -386,9 +405,10 @@ class NodalDiameterSolver:
         )
 
     def solve_inside(self, forces: np.ndarray) -> np.ndarray:
-        """Return the response K_ii^-1 f_i [m] inside the sector with fixed sides.
+        """Return the displacement K_ii^-1 f_i [m] inside the sector with fixed sides.
 
-        ``forces`` (n_inside, m) [N] are real or complex; the response has the same shape.
+        K_ii is the stiffness of the dofs inside the sector. ``forces`` f_i (n_inside, m) [N] are m
+        loads on the inside dofs, real or complex. The result has the same shape.
         """
         if not forces.any():
             return forces
@@ -434,8 +454,9 @@ class NodalDiameterSolver:
     def solve(self, forces: np.ndarray) -> np.ndarray:
         """Return the response K_n^-1 f [m] to forces f on the sector's own dofs.
 
-        K_n is the sector's stiffness with tied sides for the nodal diameter n. ``forces`` (n_own,
-        m) [N] are real or complex; the response has the same shape.
+        Own dofs are all except on the right side and the upper crack face. K_n is the sector's
+        stiffness with tied sides for the nodal diameter n. ``forces`` (n_own, m) [N] are real or
+        complex; the response has the same shape.
         """
         inside_motion = self.solve_inside(forces[self.inside_rows])
         inside_side_stiffness = self.inside_side_stiffness
@@ -473,7 +494,7 @@ class NodalDiameterSolver:
         (n_modes,) [rad/s]
             Natural frequencies, ascending.
         (n_dofs, n_modes)
-            Mode shapes v over a sector's dofs, with v^H M v = 1.
+            Mode shapes v over a sector's dofs, with v^H M v = 1 for the sector's mass M.
         """
         sector, tie_matrix = self.sector, self.tie_matrix
 
@@ -506,10 +527,11 @@ class NodalDiameterSolver:
         return omega[:n_modes], shapes[:, :n_modes]
 
     def static_response(self, forces: np.ndarray) -> np.ndarray:
-        """Return the sector's static displacement under forces of this nodal diameter.
+        """Return a sector's static displacement under a wave of forces around the wheel.
 
-        The response is T_n K_n^-1 T_n^H f, with tied stiffness K_n and tie matrix T_n. ``forces`` f
-        (n_dofs, m) [N] act on all the sector's dofs; the response [m] has the same shape.
+        The wave has this nodal diameter n. ``forces`` f (n_dofs, m) [N] act on all dofs of sector
+        0, for m loads. The result [m], T_n K_n^-1 T_n^H f, has the same shape, with the stiffness
+        K_n with tied sides and :attr:`tie_matrix` T_n.
         """
         return np.asarray(
             self.tie_matrix @ self.solve(np.asarray(self.tie_matrix.conj().T @ forces))
@@ -542,7 +564,8 @@ class CyclicModes:
 class CyclicBasis:
     """Basis U of motions for reducing a wheel with cracks and mistuning.
 
-    The first motions are modes with bonded cracks; further motions, the openings, open the cracks.
+    A column of U is a motion of the whole wheel. The first columns are modes with bonded cracks.
+    The last columns, the openings, open the cracks.
 
     Attributes
     ----------
@@ -550,8 +573,8 @@ class CyclicBasis:
         Lowest modes of each nodal diameter, together with static responses to the load and to
         forces on sides.
     sector_displacements_by_openings : (N, n_dofs, m)
-        Static displacements of all sectors if the crack in sector 0 opens by each of m shapes. To
-        sector 0 ``crack_opening_shapes`` must be added.
+        Static displacements of all sectors while the crack in sector 0 is open, for m opening
+        shapes. In sector 0, ``crack_opening_shapes`` are not included.
     crack_opening_shapes : (n_dofs, m)
         Displacements of the upper crack face relative to the lower face; 0 outside the upper face.
     cracked_sectors : tuple of int
@@ -577,16 +600,16 @@ class CyclicBasis:
         return np.concatenate(omegas_of_diameters) ** 2
 
     def sector_motions(self, sector_index: Any, rows: Any = slice(None)) -> np.ndarray:
-        """Return a sector's displacement in each motion of the basis, as columns of U_j.
+        """Return a sector's displacement in each motion of the basis.
 
-        The modes come first, then each crack's openings.
+        The columns are the motions: modes first, then each crack's openings.
 
         Parameters
         ----------
         sector_index : int or (k,) int
-            Place of the sector from 0, or a place for each row.
+            Sector, from 0; or a sector for each row in ``rows``.
         rows : slice or (k,) int
-            Rows among the sector's dofs.
+            Rows among the sector's dofs; default: all.
 
         Returns
         -------
@@ -624,9 +647,9 @@ class CyclicBasis:
     ) -> Iterator[np.ndarray]:
         """Yield the projection U_j^T A U_j for each sector j.
 
-        U_j has the sector's displacement in each motion of the basis. ``matrix`` is A, the
-        stiffness or mass over a sector's dofs. Only the projection's columns in ``column_range``
-        are computed.
+        U_j (n_dofs, n) has the sector's displacement in each of n motions of the basis. ``matrix``
+        is A (n_dofs, n_dofs), the stiffness or mass over a sector's dofs. ``column_range`` selects
+        the k columns to compute. Yields N matrices (n, k).
         """
         matrix_times_modes = replace(
             self.cyclic_modes, shapes=tuple(matrix @ shapes for shapes in self.cyclic_modes.shapes)
@@ -673,7 +696,8 @@ class CyclicBasis:
         """Each sector's stiffness without rotation, for the basis' n motions: (N, n, n).
 
         The matrix for sector j is U_j^T K U_j, with the sector's displacements U_j in the motions.
-        A mistuned wheel adds each matrix times the sector's deviation.
+        The stiffness of a mistuned wheel is the tuned stiffness, plus each matrix times the
+        sector's relative stiffness deviation.
         """
         stiffness_at_rest = local_rows(self.cyclic_modes.sector.stiffness_at_rest)
         return np.array(
@@ -712,23 +736,29 @@ def make_cyclic_basis(
 ) -> CyclicBasis:
     """Make a basis for a wheel with cracks under an engine order's load (collective).
 
-    The ranks share the nodal diameters. For each nodal diameter the basis has modes v, and static
-    responses to the load and to forces on the right side. In a mode, a sector transmits the force
-    (K - w^2 M) v to the next sector. Mistuning and cracks change the transmitted forces. A few
-    patterns, from the modes of up to three nodal diameters, approximate all changes.
+    Used to reduce the mistuned wheel. The ranks share the nodal diameters. For each nodal diameter
+    the basis has modes v with frequency w, and static responses to the load and to forces on the
+    right side. The forces on the right side represent forces between sectors. In a mode, a free
+    sector with stiffness K and mass M transmits the force (K - w^2 M) v to the next sector.
+    Mistuning and cracks change this force. A few force patterns, from the modes of up to three
+    nodal diameters, approximate all changes.
 
-    For each crack the basis has openings, static motions of the wheel with separating crack faces.
-    Openings are responses to contact forces, and to the bond forces of a closed crack in the modes
-    and under the load.
+    For each crack the basis has openings: static motions of the wheel with separating crack faces.
+    Openings are responses to contact forces and to bond forces. Bond forces hold a closed crack
+    together, in the modes and under the load.
 
     Parameters
     ----------
+    sector : Sector
+        The wheel's sector.
     families : int
         Number of modes for each nodal diameter.
     engine_order : int
         The load's engine order.
     cracked_sectors : tuple of int
         Sectors with a crack, from 0.
+    comm : MPI.Comm
+        Communicator, whose ranks share the work.
     """
     families = min(families, len(sector.dof_numbering.own_members))
     loads_of_diameters, n_dofs = _make_diameter_loads(sector, engine_order), sector.structure.n_dofs
@@ -821,23 +851,27 @@ def _make_diameter_basis(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Add static responses to the modes of a nodal diameter, as further Ritz modes.
 
-    A combination of the modes, but for rounding, is dropped.
+    If a response is a combination of the modes, except for rounding, the response is left out. All
+    kept shapes are then combined to new modes (Rayleigh-Ritz).
 
     Parameters
     ----------
+    diameter_solver : NodalDiameterSolver
+        Solver for the nodal diameter.
     shapes : (n_dofs, families)
         Shapes of the modes.
     load, side_force_patterns : (n_dofs, m), (n_dofs, p) [N]
-        Load on a sector, and force patterns on the right side.
+        Loads on a sector, and force patterns on the right side, as columns.
 
     Returns
     -------
     omega : (n,) [rad/s]
-        Frequencies for modes and static responses together.
+        Frequencies of the new modes, ascending.
     shapes : (n_dofs, n)
-        Shapes for modes and static responses together.
+        Shapes of the new modes.
     bond_forces : (n_upper, k) [(N/m)^(1/2)]
-        Real bond forces, scaled as in :func:`_compute_crack_bond_forces`.
+        Bond forces on the upper crack face, holding the closed crack together. Real, and scaled as
+        in :func:`_compute_crack_bond_forces`.
     """
     sector = diameter_solver.sector
     load_response = diameter_solver.static_response(load)
@@ -857,11 +891,16 @@ def _make_diameter_basis(
 
 
 def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
-    """Return the complex loads (n_dofs, m) [N] on sector 0, as a list by nodal diameter.
+    """Split the load on sector 0 into complex loads for each nodal diameter.
 
-    Harmonic k of the load has the order k E, with engine order E, and excites one nodal diameter.
-    The load is conjugated if the wave runs backwards. For n = 0 and N/2 the load is split into real
-    and imaginary part.
+    With an engine order E, harmonic k of the load has the order k E, and excites a single nodal
+    diameter. If the wave runs backwards, the load is conjugated. For the nodal diameters 0 and N/2,
+    real and imaginary part are separate loads.
+
+    Returns
+    -------
+    list of (n_dofs, m) [N]
+        For each nodal diameter from 0 to N/2, m loads as columns; m = 0 without a load.
     """
     load_parts_of_diameters: list[list[np.ndarray]] = [[] for _ in sector.nodal_diameter_range]
     for harmonic, complex_force in enumerate(to_complex(sector.structure.force)):
@@ -894,16 +933,27 @@ def _compute_crack_bond_forces(
 ) -> np.ndarray:
     """Return scaled bond forces on the upper face of a closed crack.
 
-    A bonded crack is held together by the forces (K - w^2 M) v in a mode v, and K x - f for a load
-    f with static response x. The columns are the bond forces over w for the m modes, and over
-    sqrt(f^H x) for the p loads (f^H x is the load's work). Let C be the compliance of the crack's
-    opening, and b a column. If the bond force is released, the relative change of w^2 or of the
-    work is b^H C b, to first order: w^2 falls, and the work grows.
+    Bond forces hold a bonded crack together. K and M are the free sector's stiffness and mass. In a
+    mode v with frequency w the forces are (K - w^2 M) v, divided here by w. Under a load f with
+    static response x the forces are K x - f, divided here by sqrt(f^H x). f^H x is the load's work.
+
+    The scale shows the effect of an opening crack. Let b be a scaled bond force, and C the
+    compliance of the crack's opening. If the bond force is released, w^2 falls by the fraction b^H
+    C b, to first order. For a load, the work grows by this fraction.
+
+    Parameters
+    ----------
+    sector : Sector
+        The wheel's sector.
+    omega, shapes : (m,) [rad/s], (n_dofs, m)
+        Frequencies and shapes of m modes.
+    load, load_response : (n_dofs, p) [N], [m]
+        p loads, and the static responses.
 
     Returns
     -------
     (n_upper, 2 (m + p)) [(N/m)^(1/2)]
-        Real parts, then imaginary parts.
+        Real parts for all modes, then for all loads; then imaginary parts in the same order.
     """
     mode_forces = (sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega
     load_works = np.sum(load.conj() * load_response, axis=0).real
@@ -925,18 +975,25 @@ Smaller patterns matter less than the neglected mass at the faces, up to 6e-9 in
 def _find_opening_shapes(
     sector: Sector, bond_forces: np.ndarray, face_stiffness_decrease: np.ndarray
 ) -> np.ndarray:
-    """Find m displacements D (n_upper, m) for opening the crack, at the upper face.
+    """Find m displacements of the upper crack face for opening the crack.
 
-    D are the responses to contact forces and to bond forces, normalised to D^T K D = 1 with the
-    stiffness K of the upper face in the wheel. Patterns of bond forces smaller than
+    The displacements are responses to contact forces and to bond forces. Bond forces hold a closed
+    crack together. All bond forces are split into orthogonal patterns. Patterns smaller than
     ``MIN_BOND_PATTERN_SINGULAR_VALUE`` are left out.
 
     Parameters
     ----------
+    sector : Sector
+        The wheel's sector.
     bond_forces : (n_upper, k) [(N/m)^(1/2)]
         Forces scaled as in :func:`_compute_crack_bond_forces`.
     face_stiffness_decrease : (n_upper, n_upper) [N/m]
-        Decrease of the face's stiffness because the rest of the wheel gives way.
+        Decrease of the upper face's stiffness because the rest of the wheel gives way.
+
+    Returns
+    -------
+    (n_upper, m)
+        Displacements D as columns, with D^T K D = 1. K is the upper face's stiffness in the wheel.
     """
     structure, upper_crack_face_members = (
         sector.structure,
@@ -998,14 +1055,23 @@ MIN_RELATIVE_SIDE_FORCE_PATTERN_SIZE = 0.5
 def _find_side_force_patterns(
     sector: Sector, omega_shapes_pairs: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> np.ndarray:
-    """Find orthonormal patterns (n_dofs, p) of the forces on the right side in modes.
+    """Find the main patterns of the forces on a sector's right side in modes.
 
-    The forces are (K - w^2 M) v / w^2 on the sector with free sides; all remaining dofs have zeros.
+    Used to approximate all forces between sectors. In a mode v with frequency w, the force on the
+    right side is (K - w^2 M) v, divided here by w^2. K and M are the sector's stiffness and mass.
+    Patterns with less than half the largest singular value are left out.
 
     Parameters
     ----------
+    sector : Sector
+        The wheel's sector, with free sides.
     omega_shapes_pairs : sequence of (omega, shapes)
         Frequencies (m,) [rad/s] and shapes v (n_dofs, m), for a few nodal diameters.
+
+    Returns
+    -------
+    (n_dofs, p)
+        p orthonormal patterns as columns; zero outside the right side.
     """
     scaled_force_parts, is_on_right_side = [], sector.dof_numbering.belongs_to_next_sector
     for omega, shapes in omega_shapes_pairs:

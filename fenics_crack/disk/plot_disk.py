@@ -212,8 +212,8 @@ def draw_nodal_diameters(
     """Draw natural frequencies over the nodal diameter (SAFE diagram).
 
     Each family of modes is a line with dots (Singh et al. 1988). Rings mark the nodal diameter
-    excited by the load. For a rotor, crosses show each engine order's frequency over the nodal
-    diameter excited by this order; the line zigzags between 0 and N/2.
+    excited by the load. For a rotor, a zigzag line with crosses shows the engine orders. Each cross
+    stands at the order times the speed, over the nodal diameter excited by this order.
 
     Parameters
     ----------

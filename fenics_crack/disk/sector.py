@@ -213,12 +213,13 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
 def _find_partners_and_largest_distance(
     points: np.ndarray, candidates: np.ndarray
 ) -> tuple[float, int, np.ndarray]:
-    """Match points (n, d) [m] with candidates (m, d) [m] one to one.
+    """Match points (n, d) [m] one to one with candidate points (m, d) [m].
 
     Returns
     -------
     float
-        Largest distance [m] from a point to the partner; inf unless the match is one to one.
+        Largest distance [m] from a point to the point's partner. If two points have the same
+        partner, or n is not m, the distance is inf.
     int
         Index of the point with the largest distance.
     (n,) int

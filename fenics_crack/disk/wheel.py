@@ -91,12 +91,12 @@ class Wheel(Structure):
     order : int
         The load's engine order.
     families : int
-        Number of modes kept in a reduction, for each nodal diameter and for each blade.
+        Number of mode families kept in a reduction. A family has N modes, for N blades.
     wheel_dofs_by_sector : (N, n_sector) int
         The wheel's dof for each sector's dofs.
     places : (n,) int
-        For each dof of the wheel, the owner as a position in the flattened
-        ``wheel_dofs_by_sector``: sector times n_sector plus the dof in this sector.
+        For each dof of the wheel, the sector and the dof in this sector, as a single number: sector
+        times n_sector, plus the dof.
     """
 
     body: WheelBody
@@ -251,9 +251,20 @@ class Wheel(Structure):
     def watched_sector_load_rows(self, structure: Structure, rows: slice) -> np.ndarray:
         """Return the load's Fourier coefficients on the watched blade's sector only.
 
-        ``rows`` selects m rows of ``force``: mean, then cosine and sine for each harmonic. The
-        result (m, structure.n_dofs) [N] has the coordinates of ``structure``, the wheel itself or a
-        reduced structure.
+        Loads on all further sectors are left out.
+
+        Parameters
+        ----------
+        structure : Structure
+            The wheel itself or a reduced structure, to choose the coordinates of the result.
+        rows : slice
+            Selects m rows of ``force``. The rows are the mean, then cosine and sine for each
+            harmonic.
+
+        Returns
+        -------
+        (m, structure.n_dofs) [N]
+            Coefficients in the coordinates of ``structure``.
         """
         is_owned_by_sector = ~self.sector.dof_numbering.belongs_to_next_sector
         blade_dofs = np.unique(
@@ -402,12 +413,14 @@ def _make_wheel_nodes(
 
     Parameters
     ----------
+    sector : Sector
+        Sector to copy and turn.
     cracked_sectors : tuple of int
         Sectors with a crack, from 0.
     wheel_dof_numbers : (N, n_sector) int
         The wheel's dof for each sector's dofs.
     own_rows : slice
-        All nodes on rank 0, none on all further ranks.
+        Nodes and cells to store on this rank: all on rank 0, none on all further ranks.
     """
     nodes = sector.structure.nodes
     assert nodes is not None
@@ -436,7 +449,8 @@ def _make_wheel_nodes(
 def _make_wheel_pairs(sector: Sector, cracked_sectors: tuple[int, ...]) -> Pairs:
     """Make the contact pairs of all cracked sectors, sector by sector.
 
-    Empty pairs without a crack or a mesh. Place names state the blade if several are cracked.
+    ``sector`` has the pairs to copy and turn. Without a crack or a mesh, the result has no pairs.
+    If several sectors are cracked, each place name also states the blade.
     """
     sector_pairs, n_cracked_sectors = sector.structure.pairs, len(cracked_sectors)
     if not cracked_sectors or sector_pairs.points is None or sector_pairs.cracks is None:
@@ -572,18 +586,24 @@ class WheelInFewCoordinates(Structure):
     ) -> tuple[WheelInFewCoordinates, float]:
         """Rank the wheel's modes for a reduction with a reference for the error.
 
-        Three groups follow in turn: the ``n_first`` lowest modes, the ``n_more`` modes with the
-        largest effect on the gaps, and the next N_FURTHER_REFERENCE_MODES modes by this effect.
-        With mode shapes phi and psi = B^T phi, mode j has the part (psi_ij / w_j)^2 of pair i's
-        static compliance. At frequency w, inertia changes this part by (w / w_j)^2. The effect is
-        this change relative to the pair's compliance, summed over the pairs.
+        The ranked modes are three groups, in this order:
+
+        - the ``n_first`` lowest modes,
+        - the ``n_more`` modes with the largest effect on the gaps,
+        - the next N_FURTHER_REFERENCE_MODES modes by this effect.
+
+        Let w_j be the frequency of mode j, and psi_ij the gap at contact pair i in this mode. The
+        mode contributes (psi_ij / w_j)^2 to the pair's static compliance. At load frequency w,
+        inertia changes this contribution by the fraction (w / w_j)^2. The effect is this change
+        relative to the pair's compliance, summed over the pairs.
 
         Returns
         -------
         WheelInFewCoordinates
             This wheel with the ranked modes only.
         float
-            Effect of the third group over the effect of all modes outside the first two groups.
+            Effect of the third group, divided by the effect of all modes outside the first two
+            groups.
         """
         omega, mode_shapes = self.compute_once(_solve_all_modes)
         compliance_shares = ((self.gap.T @ mode_shapes) / omega) ** 2
@@ -621,16 +641,17 @@ class WheelInFewCoordinates(Structure):
         return f"{self.n_dofs} coordinates of {self.whole._size_description}"
 
     def count_lowest_modes(self, families: int) -> int:
-        """Return the number of the lowest modes to keep: ``families`` for each sector, or fewer.
+        """Return the number of the lowest modes to keep.
 
-        Fewer if the basis has fewer modes with bonded cracks: coordinates less contact pairs.
+        The number is ``families`` times N, for N sectors. The upper limit is the number of modes
+        with bonded cracks: coordinates less contact pairs.
         """
         return min(families * self.n_sectors, self.n_dofs - self.n_pairs)
 
     def iterate_sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
         """Return an iterator over the displacement (m, n_sector) [m] of each sector.
 
-        ``displacement`` (m, n_dofs) are the coordinates (q, d).
+        Each of the m rows in ``displacement`` (m, n_dofs) has the coordinates (q, d) of a motion.
         """
         return (
             displacement @ self.basis.sector_motions(sector_index).T
@@ -653,7 +674,8 @@ class WheelInFewCoordinates(Structure):
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
         """Return displacements (m, k) [m] at k dofs of the wheel (collective).
 
-        ``displacement`` (m, n_dofs) are the coordinates (q, d); a dof None is the watched dof.
+        Each of the m rows in ``displacement`` (m, n_dofs) has the coordinates (q, d) of a motion.
+        In ``dofs``, None is the watched dof.
         """
         wheel = self.whole
         flat_sector_member_indices = wheel.places[wheel.as_dof_numbers(dofs)]
@@ -690,14 +712,19 @@ def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
 def count_basis_families(families: int, n_more: int = 0) -> int:
     """Return the number of modes in the basis for each nodal diameter.
 
-    ``families`` is the number of modes to keep for each nodal diameter. The basis has 4 more, or
-    11 more if ``n_more``, a number of further kept modes selected by the effect on the crack, is
-    not 0.
+    The highest modes in a small basis are inaccurate, and open the crack much. So the basis has 4
+    more modes than ``families``, or 11 more if ``n_more`` is not 0.
 
-    Measured: the estimated error of a gap is 0.75 times the true error with 2 more modes in the
-    basis, 1.4 times with 4 more. The highest modes in a small basis are inaccurate, and open the
-    crack much. If ``n_more`` modes were selected among only 4 additional modes, stability stayed
-    undecided at 6 of 347 curve points; with 8 additional modes at none.
+    Measured: with 2 additional modes, the estimated error of a gap is 0.75 times the true error;
+    with 4, 1.4 times. If ``n_more`` modes were selected with 4 additional modes in the basis,
+    stability stayed undecided at 6 of 347 curve points; with 8, at none.
+
+    Parameters
+    ----------
+    families : int
+        Number of modes to keep for each nodal diameter.
+    n_more : int
+        Number of further modes to keep, selected by the effect on the crack.
     """
     return families + (11 if n_more else 4)
 
@@ -714,9 +741,10 @@ def reduce_wheel(
     - static responses to the load, and to forces by mistuning and cracks on the sides,
     - the opening of each crack, with the wheel's static response.
 
-    With all motions, the mistuned wheel's modes with open cracks are solved. Kept are the
-    lowest modes, ``families`` for each sector, and ``more`` modes with the largest effect on the
-    gaps. The next modes by this effect form a reference structure for the reduction error
+    The modes of the mistuned wheel with open cracks are computed as combinations of the three
+    kinds. The reduced wheel keeps the lowest modes, ``families`` for each sector. In addition, the
+    wheel keeps the ``more`` modes with the largest effect on the gaps. The next modes by this
+    effect form a reference structure for the reduction error
     (``WheelInFewCoordinates.with_ranked_modes_and_share``).
 
     Parameters
@@ -724,9 +752,9 @@ def reduce_wheel(
     wheel : Wheel
         The whole wheel.
     families : int, optional
-        Number of modes for each nodal diameter, and for each blade; default: the wheel's.
+        Number of lowest modes to keep for each sector; default: the wheel's.
     more : int
-        Number of additional modes; without a crack, the next higher modes.
+        Number of further modes to keep. Without a crack, the next higher modes are kept.
     reference : bool
         Also make the reference structure for the reduction error.
 

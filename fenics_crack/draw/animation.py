@@ -290,7 +290,7 @@ def _find_arrow_starts_and_vectors(fields: PeriodFields) -> tuple[np.ndarray, np
 
 
 def _write_gif(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
-    """Draw all frames and write them as a GIF of about 3 s, repeated without end."""
+    """Draw all frames and write a GIF of about 3 s, repeated without end."""
     colour_scale = _ColourScale(fields)
     frame_layout = _GifFrameLayout(solution, fields, colour_scale)
     plate_image_width, plate_image_height = frame_layout.plate_size
@@ -352,10 +352,16 @@ def _make_palette_image(colour_scale: _ColourScale) -> Image.Image:
 
 
 def _fit_camera_and_find_width_ratio(plotter: Any, fields: PeriodFields) -> float:
-    """Fit the camera to the whole period; return the drawn width over the picture's height.
+    """Fit the camera to the structure's motion in the whole period.
 
-    A plate is seen from the front, and all points drawn in the period set the width. A solid is
-    seen from a corner, and the width is the picture's.
+    A plate is seen from the front, so that all points drawn in the period are visible. A solid is
+    seen from a corner.
+
+    Returns
+    -------
+    float
+        Width needed for the structure, divided by the picture's height. For a solid the width is
+        the whole picture's.
     """
     width, height = plotter.window_size
     plotter.camera_set = True

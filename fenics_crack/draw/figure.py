@@ -58,8 +58,9 @@ SUPERSCRIPT_TRANSLATION = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷
 class PictureOptions(TypedDict, total=False):
     """Keywords of every ``draw_*`` function.
 
-    ``axes`` or ``ax``: axes to draw on; by default those in a new figure. ``path``: file for a new
-    figure. ``title``: title above the picture. ``legend``: False for a picture without a legend.
+    ``axes`` or ``ax``: axes to draw on, by default axes in a new figure; only one of both may be
+    given. ``path``: file for a new figure. ``title``: title above the picture. ``legend``: False
+    for a picture without a legend.
     """
 
     axes: Any
@@ -72,7 +73,8 @@ class PictureOptions(TypedDict, total=False):
 class NotebookFigure(Figure):
     """Figure that notebooks show as the value of a cell.
 
-    Pyplot need not be loaded, and does not know the figure, so that no second copy is shown.
+    Pyplot need not be loaded, and does not know the figure. If pyplot knew the figure, notebooks
+    would show a second copy.
     """
 
     def _repr_png_(self) -> bytes:
@@ -235,8 +237,8 @@ def read_axes_option(picture_options: PictureOptions) -> Any:
 def distinct_colours(n_colours: int) -> list[str]:
     """Return a list with ``n_colours`` different colours for lines.
 
-    Up to five are the colours in :data:`CURVE_COLOUR_CODE_BY_NAME`. More colours go from dark to
-    light.
+    Up to five colours are taken from :data:`CURVE_COLOUR_CODE_BY_NAME`. If more are needed, all are
+    taken from a scale from dark to light.
     """
     if n_colours <= len(CURVE_COLOUR_CODE_BY_NAME):
         return list(CURVE_COLOUR_CODE_BY_NAME.values())[:n_colours]
@@ -310,7 +312,7 @@ class _ScaledLogFormatter(LogFormatter):
     def __call__(self, x: float, pos: int | None = None) -> str:
         """Return the label of a tick; empty for a tick without a label.
 
-        ``x`` is the tick's value in SI units, ``pos`` its number.
+        ``x`` is the tick's value in SI units, ``pos`` the tick's index on the axis.
         """
         return _format_number(self.unit_factor * x) if super().__call__(x, pos) else ""
 

@@ -386,8 +386,8 @@ def draw_response(
     over : str
         Label of the horizontal axis, with its unit.
     doubtful : mapping of str to (n,) bool, optional
-        For each key in ``curves``, True where a ring marks the value. The value may be not stable,
-        or inexact: estimated error above 5 %.
+        For each key in ``curves``, True for values to mark with a ring. Doubtful values are not
+        stable, or have an estimated error above 5 %.
     unit : str
         SI unit of the curves; the axis shows the unit with a prefix, such as mm.
     **picture_options
@@ -663,7 +663,7 @@ def _draw_stems(
     quantity: str,
     unit: str,
 ) -> None:
-    """Draw Fourier amplitudes over the order, as stems side by side.
+    """Draw Fourier amplitudes over the order, as vertical lines (stems) side by side.
 
     The scale is logarithmic; amplitudes below 1e-9 of the largest are left out as rounding. More
     than 150 harmonics are drawn as points without stems.
@@ -726,9 +726,9 @@ def draw_orbits(
     """Draw the motion in the phase plane, velocity over displacement (collective).
 
     One panel shows the gap at the first crack's mouth, or in the middle of an internal crack.
-    Another panel shows the displacement of a dof. The gap's orbit is thick while this contact pair
-    is closed, the dof's orbit while any pair is closed. A dot marks the beginning of each load
-    period; the motion runs clockwise.
+    Another panel shows the displacement of a dof. The gap's orbit is thick while the drawn contact
+    pair is closed. The dof's orbit is thick while any pair is closed. A dot marks the beginning of
+    each load period; the motion runs clockwise.
 
     Parameters
     ----------
@@ -924,8 +924,9 @@ def draw_stress_intensity(
 
     For a plate, K_I and K_II at each tip are drawn over time. K_II is dashed. K_I is grey and thick
     while the tip is closed. For a solid there are two panels. The first panel shows the largest
-    abs(K_I), abs(K_II) and abs(K_III) along the fronts. The second panel shows all three over time,
-    at the front station with the largest effective range of K_I.
+    abs(K_I), abs(K_II) and abs(K_III) along the fronts. The second panel shows all three over time
+    at a single front station, a point on a crack front. There the effective range of K_I over the
+    period, important for crack growth, is largest.
 
     Parameters
     ----------
@@ -991,9 +992,9 @@ def _draw_intensities_of_fronts(
 ) -> None:
     """Draw stress intensity factors in a solid, along each crack front and over time.
 
-    The front panel shows the largest abs(K_I), abs(K_II) and abs(K_III) in time at each station.
-    The time panel shows all three over time, at the station with the largest effective range of
-    K_I.
+    A station is a point on a crack front. The front panel shows the largest abs(K_I), abs(K_II) and
+    abs(K_III) in time at each station. The time panel shows all three over time at a single
+    station, with the largest effective range of K_I (``intensity.leading_tip_index``).
     """
     assert intensity.K_III is not None
     for component_name, component_values, colour in zip(

@@ -64,10 +64,14 @@ def draw_curve(
     dotted. Without Floquet multipliers the curve is solid, and the legend says that stability was
     not examined. Parts with an estimated displacement error above 5 % are faint.
 
-    A ring marks the largest response, unless this is an end of the curve. The legend states
-    parameter and amplitude there; over the load frequency also the damping by the half-power width.
-    Marks show bifurcations, and the legend states how many. If many lie close together, only a few
-    are marked. At each superharmonic peak stands the order of the largest harmonic.
+    Marks show special points:
+
+    - A ring marks the largest response, unless this is an end of the curve. The legend states
+      parameter and amplitude at the ring. Over the load frequency, the legend also states the
+      damping found from the half-power width.
+    - Further marks show bifurcations, and the legend states their number. If many lie close
+      together, only a few are marked.
+    - Text at each superharmonic peak, such as "3ω", states the order of the largest harmonic.
 
     Parameters
     ----------
@@ -78,7 +82,8 @@ def draw_curve(
     colour : str
         "blue", "orange", "green", "pink", "grey" or any colour known to matplotlib.
     label : str
-        Legend entry, for one among several curves. If given, bifurcations have the curve's colour.
+        Legend entry, for several curves on the same axes. If given, bifurcations have the curve's
+        colour.
     behind, points : mapping, optional
         Curves and single points for comparison. For each legend entry: (parameter values,
         amplitudes [m]), with frequencies and speeds in rad/s.
@@ -398,7 +403,10 @@ def _label_parameter_axis(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> N
 
 
 def _harmonic_amplitudes(curve: ResponseCurve, dof: int | None) -> np.ndarray:
-    """Return the amplitudes of harmonics 1 to H at a curve's points: (n, H) [m]."""
+    """Return the amplitudes of harmonics 1 to H at a curve's points: (n, H) [m].
+
+    ``dof`` is the displacement's dof; None: the watched dof.
+    """
     return np.abs(to_complex(curve.coefficients_at(dof).T)[1:].T)
 
 
@@ -468,8 +476,8 @@ def draw_multipliers(
     An orbit is stable if the modulus is below 1. Colours show the kind of multiplier. A real
     multiplier leaves the unit circle at +1 (folds, branch points) or -1 (period doublings). A
     complex pair leaves the circle anywhere else (Neimark-Sacker). For irregular motions, the growth
-    of a small disturbance is drawn instead. Crosses are points with undecided stability. If their
-    multipliers are unknown, they stand at 1.
+    of a small disturbance is drawn instead. Crosses are points with undecided stability. A cross
+    with an unknown multiplier is drawn at 1.
 
     Parameters
     ----------

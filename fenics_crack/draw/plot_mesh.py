@@ -34,10 +34,10 @@ from fenics_crack.model.structure import Structure
 def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -> Figure:
     """Draw the mesh of a structure at rest with its named parts (collective).
 
-    The parts are clamped edges, crack faces, contact pairs, and the load. Arrows show the mean, and
-    the cosine and sine part of the first harmonic, each on its own scale. Among all higher
-    harmonics, only the largest cosine or sine part has arrows. In a solid each of these loads has
-    one arrow, and contact pairs are not drawn.
+    The named parts are clamped edges, crack faces, contact pairs, and the load. Arrows show the
+    load's mean, and the cosine and sine part of the first harmonic. Each has a separate arrow
+    scale. Among all higher load harmonics, only the largest cosine or sine part has arrows. In a
+    solid each load part has a single arrow, and contact pairs are not drawn.
 
     Parameters
     ----------
@@ -146,8 +146,8 @@ def _draw_load_arrows(
 ) -> None:
     """Draw nodal forces (n_nodes, 2) [N] as arrows that begin at their nodes.
 
-    The longest arrow has a tenth of the mesh's size. At most 40 loaded nodes have arrows, chosen at
-    equal steps of the node number.
+    ``label`` is the legend entry. The longest arrow has a tenth of the mesh's size. At most 40
+    loaded nodes have arrows; the nodes are chosen at equal steps of the node number.
     """
     force_sizes = np.linalg.norm(nodal_forces, axis=1)
     arrow_nodes = np.flatnonzero(force_sizes > 1e-9 * force_sizes.max())
@@ -246,8 +246,9 @@ def draw_displaced_mesh(
 ) -> Any:
     """Draw a displaced mesh, coloured by nodal values.
 
-    Black lines are a plate's boundary, or a solid's sharp edges. Grey lines show the same at rest,
-    and in a plate the edges of all cells. ``is_wheel`` leaves the grey lines out.
+    Black lines are the displaced boundary of a plate, or the displaced sharp edges of a solid. Grey
+    lines show the boundary or the sharp edges at rest. In a plate, thin grey lines show the
+    displaced edges of all cells. With ``is_wheel``, no grey lines are drawn.
 
     Parameters
     ----------
@@ -325,7 +326,7 @@ def draw_numbered_faces(
     face_tags : sequence of int
         Gmsh tags of the drawn faces; the first face has the number 1.
     number_positions : (n, 3) [m]
-        Position of each face's number, in the order of ``face_tags``; surplus rows are ignored.
+        Position of each face's number, in the order of ``face_tags``; further rows are ignored.
     """
     from fenics_crack.draw import vtk
 

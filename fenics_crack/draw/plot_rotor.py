@@ -44,10 +44,11 @@ def draw_campbell(
 ) -> Figure:
     """Draw a Campbell diagram: natural frequencies and engine orders over the rotor speed.
 
-    At each speed, the mean load holds the crack open, shut or partly open; or the crack breathes. A
-    mode's line shows the frequency in this state. A band reaches from the frequency with open crack
-    to the frequency with bonded crack. Engine orders are grey lines with numbers. Circles mark
-    their crossings with the modes. Modes above all engine orders are left out, except the first
+    At each speed the crack has a state: held open, shut or partly open by the mean load, or
+    breathing. A mode's line shows the natural frequency in the state at this speed. A band reaches
+    from the frequency with open crack to the frequency with bonded crack. Grey lines with numbers
+    are engine orders: the frequency is the order times the rotor speed. Circles mark crossings of
+    these lines with the modes. A mode above all engine order lines is left out, except the first
     mode.
 
     Parameters
@@ -202,9 +203,10 @@ def _write_engine_order(
     Parameters
     ----------
     position : (float, float)
-        Position in data coordinates, or in the coordinates of ``xycoords`` in ``text_options``.
+        Position in data coordinates. If ``text_options`` has ``xycoords``, this option names the
+        coordinates.
     point_offset : (int, int) [points]
-        Offset of the text from the position.
+        Horizontal and vertical offset of the text from the position.
     text_options
         Options of matplotlib's ``annotate``.
     """
@@ -225,9 +227,12 @@ def draw_arrivals(
 ) -> Figure:
     """Draw blade tip displacements from arrivals, for each probe.
 
-    The horizontal axis shows the revolutions; if the rotor speed varies, the speed. A probe sees
-    the tip once in a revolution. So a vibration at a whole engine order seems constant, and any
-    other vibration seems slow.
+    A probe on the casing measures when a blade tip arrives, and so the tip's tangential
+    displacement. If the rotor speed varies, the horizontal axis shows the speed, otherwise the
+    number of the revolution.
+
+    A probe sees the tip once in a revolution. So a vibration at a whole engine order seems
+    constant. Any further vibration seems slower than in reality.
 
     Parameters
     ----------
@@ -349,7 +354,8 @@ def draw_tip_fit(
 def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> None:
     """Draw fit residuals [m] over the tried engine orders.
 
-    Marked are the best order, orders that fit as well, and orders that the probes cannot measure.
+    ``candidates`` has the tried engine orders with their residuals. ``best_order`` is marked, and
+    orders that fit equally well. Orders that the probes cannot measure are marked, too.
     """
     axis_bottom = _set_log_scale_if_any_positive(axes, candidates.residuals)
     is_best = candidates.orders == best_order
@@ -388,8 +394,8 @@ def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> N
 def _set_log_scale_if_any_positive(axes: Axes, values: np.ndarray) -> float:
     """Make the vertical axis logarithmic if any value is positive.
 
-    Return half the smallest positive value, for the axis's lower end. Without a positive value,
-    return 0.
+    ``values`` are the values drawn over the axis. Return the axis's lower end, half the smallest
+    positive value. Without a positive value, return 0.
     """
     positive_values = values[(values > 0.0) & np.isfinite(values)]
     if not len(positive_values):
@@ -480,15 +486,16 @@ def draw_passages(
 ) -> Figure:
     """Draw a record of tip displacements over the rotor speed, and its resonances.
 
-    The second panel shows the first resonance in ``passages``. For each passage through this
-    resonance, the panel shows the displacements at one probe, without drift, and the fit. The probe
-    is the probe with the largest fitted motion.
+    The first panel shows the record, with a dashed line at each resonance. The second panel shows
+    the first resonance in ``passages``. For each passage through this resonance, the panel shows
+    measured displacements without drift, and the fitted displacements. Only the probe with the
+    largest fitted motion is shown.
 
     Parameters
     ----------
     passages : sequence of PassageFit
-        Resonances from :func:`find_passages`, about the largest first; without resonances the
-        second panel stays empty.
+        Resonances from :func:`find_passages`, in the order found, about the largest first. Without
+        resonances the second panel stays empty.
     arrivals : ArrivalTimes
         Record in which the resonances were found.
     **picture_options

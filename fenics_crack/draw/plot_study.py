@@ -55,9 +55,9 @@ def draw_posterior(
     """Draw the posterior probability of one or two unknowns.
 
     For two unknowns, contours enclose 50, 95 and 99.9 % of the probability. For one unknown, a line
-    shows the density, and a band the interval with the probability ``identify.confidence``. All
-    other unknowns are integrated out. If an unknown is a word, such as the crack's edge, each word
-    has its own colour.
+    shows the probability density. A band shows the interval with the probability
+    ``identify.confidence``, a key of the scene. All other unknowns are integrated out. If an
+    unknown is a word, such as the crack's edge, each word has its own colour.
 
     Parameters
     ----------
@@ -198,15 +198,17 @@ def _draw_density(panel: Axes, identification: Identification, key: str) -> None
 
 
 def _contour_log_levels(branch_grids: list[tuple[np.ndarray, ...]]) -> list[float]:
-    """Return the log densities on the contours around 99.9, 95 and 50 % of the probability.
+    """Return the logarithms of the probability density on three contours.
 
-    The values are strictly ascending.
+    The contours enclose 99.9, 95 and 50 % of the probability, in this order. The values are
+    strictly ascending.
 
     Parameters
     ----------
     branch_grids : list of (x, y, mass, density)
-        For each combination of word values, such as the crack's edge: grid values x and y of both
-        unknowns, and probability and density at each grid point.
+        A tuple for each combination of word values, such as the crack's edge. x and y are grid
+        values of both unknowns; mass and density are the probability and the probability density at
+        each grid point.
     """
     probability_masses = np.concatenate([branch_grid[2].ravel() for branch_grid in branch_grids])
     log_densities = _log_density(
@@ -240,7 +242,7 @@ def _set_limits(
     panel : Axes
         Panel to limit.
     shown_points : (n, 2)
-        Points in the drawn regions: values of both unknowns.
+        Values of both unknowns at the points inside the drawn regions.
     branch_axes : pair of (m,)
         Ascending grid values of both unknowns.
     """
@@ -257,13 +259,15 @@ def _set_limits(
 def draw_verification(found: Verification, **picture_options: Unpack[PictureOptions]) -> Figure:
     """Draw the convergence of each quantity, and its uncertainty by cause.
 
-    The first panel shows differences from the extrapolated value over the element size. If the mesh
-    is not varied, the first varied cause replaces the element size. Quantities without regular
+    The first panel has a line for each quantity: the difference from the extrapolated value over
+    the element size. If the mesh is not varied, the step size of the first varied cause replaces
+    the element size. For example, with modes varied, this is 1 / number. Quantities without regular
     convergence have no line.
 
-    The second panel has a row for each quantity: its marker in the first panel, the contributions
-    by cause, and the observed order of convergence, which is the line's slope. Hollow marks mean a
-    safety factor of 3. Black bars are the total, the root of the sum of squares.
+    The second panel has a row for each quantity. The row shows the marker from the first panel, the
+    uncertainty by cause, and the observed order of convergence, the slope of the line. A filled
+    mark means a safety factor of at most 1.25, a hollow mark a larger factor, mostly 3. Black bars
+    are the total, the root of the sum of squares.
 
     Parameters
     ----------
@@ -301,10 +305,10 @@ def _draw_differences_from_extrapolation(
 ) -> None:
     """Draw the differences |f_i - f| over the relative element size h_i.
 
-    f_i is a quantity's value in run i, with ``cause`` varied, and f is the extrapolated value. The
-    differences are in percent of the quantity. Sizes are divided by the largest size, mostly the
-    scene's. If the cause is not the mesh, h_i is 1 / count, for example with the number of
-    harmonics.
+    f_i is a quantity's value in run i, with the error cause ``cause`` varied. f is the extrapolated
+    value. The differences are in percent of the quantity. Sizes are divided by the largest size,
+    mostly the scene's. If the cause is not the mesh, h_i is 1 / count, for example with the number
+    of harmonics.
     """
     sizes_relative_to_coarsest, largest_difference = np.ones(1), 100.0 * MIN_REPORTED_RELATIVE_ERROR
     for quantity_name, line_options in styles_by_quantity.items():

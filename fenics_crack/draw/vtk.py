@@ -170,7 +170,7 @@ def make_lines(points: np.ndarray, edges: np.ndarray) -> Any:
 
 
 def find_node_pairs_of_sharp_edges(mesh: NodalMesh) -> np.ndarray:
-    """Return the sharp edges of a solid's surface: (n, 2) nodes.
+    """Return the sharp edges of a solid's surface: (n, 2) node indices.
 
     At a sharp edge the surface bends by more than 25 degrees.
     """
@@ -257,10 +257,10 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
 def _make_derivative_matrices(mesh: NodalMesh) -> list[csr_matrix]:
     """Return matrices that differentiate a nodal field at the nodes.
 
-    A derivative at a node is the mean over the cells at the node. VTK differentiates the shape
-    functions N at the nodes X of its unit cell. Let x(X) be a cell of the mesh: then dN/dx = dN/dX
-    (dx/dX)^-1. VTK is not applied to cells of the mesh themselves: it would search for the nodes,
-    and fail in slim tetrahedra.
+    A derivative at a node is the mean over the cells at the node. VTK gives the derivatives dN/dX
+    of the shape functions N at the nodes of a unit cell, with coordinates X. The map x(X) leads
+    from the unit cell to a cell of the mesh: dN/dx = dN/dX (dx/dX)^-1. VTK does not differentiate
+    in the cells of the mesh: it would search for the nodes, and fail in slim tetrahedra.
 
     Returns
     -------
@@ -435,8 +435,12 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
 
     Notes
     -----
-    Each front station has the values of :attr:`StressIntensity.numbers`, ``K_I while closed``
-    [Pa m^0.5], and ``ahead``, the direction in which the crack would grow straight on.
+    Each front station, a point on a crack front, has these values:
+
+    - all values in :attr:`StressIntensity.numbers`,
+    - ``K_I while closed`` [Pa m^0.5], the error of K_I at a closed front
+      (:attr:`StressIntensity.closed_front_errors`),
+    - ``ahead``, a unit vector: the direction in which the crack would grow straight on.
 
     Examples
     --------
@@ -495,10 +499,11 @@ class PeriodFields:
     contact_forces, pair_areas : (n, n_pairs) [N], (n_pairs,) [m^2]
         Normal forces on the contact pairs, and the pairs' areas on one crack face.
     nodal_force_per_pair_force : (n_nodes, n_pairs)
-        Force size at each node for a unit contact force on each pair: 1 at the pair's two
-        nodes, or at the two nodes in the middle of a solid's patch.
+        Force at each node for a unit contact force on each pair. The force is 1 at the pair's two
+        nodes. In a solid, a pair belongs to a patch, and the force is 1 at the two nodes in the
+        patch's middle. All further nodes have 0.
     nodal_weights_of_pair_pressures : (n_nodes, n_pairs)
-        Weight of each pair's pressure in the pressure drawn at each node.
+        Pressure at each node per pressure on each pair, to interpolate the pressure drawn at nodes.
     magnification : float
         Factor by which pictures magnify the displacement.
     material : Material or None
@@ -579,8 +584,8 @@ class PeriodFields:
         """Upper end of the colour scale for the whole period, [Pa] or [m].
 
         The scale begins at 0. For displacements the end is the largest value. Stresses are
-        unbounded at the tip and under the load. So for stresses the end is lower: 98 % of the nodes
-        have a smaller largest stress.
+        unbounded at the tip and under the load. So for stresses the end is lower: at 98 % of the
+        nodes, the largest stress in the period is smaller.
         """
         largest_nodal_values = self.colour_values.max(axis=0)
         scale_end = (
@@ -744,7 +749,7 @@ PARAVIEW_VIEW_COMMANDS_BY_DIMENSION = {
 
 
 def _format_vtu(grid: Any) -> str:
-    """Return a grid as the text for a .vtu file.
+    """Return pyvista's grid as the text for a .vtu file.
 
     VTK does not write the file itself, since it would not report a failure such as a full disk.
     """
@@ -759,12 +764,12 @@ def _format_vtu(grid: Any) -> str:
 
 
 def _find_nodal_force_per_pair_force(structure: Structure) -> np.ndarray:
-    """Return nodal force sizes for a unit contact force on each pair (collective).
+    """Return the force at each node for a unit contact force on each pair (collective).
 
     Returns
     -------
     (n_nodes, n_pairs)
-        Size of the force at each node over the contact force, complete on every rank.
+        Absolute nodal force divided by the contact force, complete on every rank.
     """
     assert structure.nodes is not None
     dof_by_node_and_axis, gap_matrix = structure.nodes.dofs, structure.gap

@@ -82,10 +82,10 @@ HARMONICS_NOT_VARIED_REASON = "without contact the motion has the harmonics of t
 
 @dataclass(frozen=True)
 class JudgedAnswer:
-    """Hold a solution, and the data to estimate the errors of all quantities.
+    """Hold a solution, the answer, and the data to estimate the errors of all quantities.
 
-    Subclasses estimate the errors by further runs. A quantity is a number read from a motion, for
-    example "amplitude".
+    A quantity is a number read from a motion, for example "amplitude". Subclasses estimate the
+    errors by further runs: solutions with another mesh, more modes or more harmonics.
 
     Attributes
     ----------
@@ -96,11 +96,12 @@ class JudgedAnswer:
     answer_values_by_name : dict of str to float
         Values of the answer's quantities by name.
     balance_solution : PeriodicSolution
-        Solution to compare with further runs; the number of harmonics is the answer's. In
-        :mod:`verify`, and for an answer made from an exact orbit, this is the answer itself.
-        Otherwise this is a new harmonic-balance solution, found from the answer.
+        Solution to compare with further runs, with as many harmonics as the answer. In
+        :mod:`verify`, and for an answer made from an exact orbit (:meth:`orbit_values_by_name`),
+        this is the answer itself. Otherwise harmonic balance is solved again, starting from the
+        answer.
     balance_quantities : Numbers
-        Quantities of the balance solution.
+        Quantities of ``balance_solution``.
     """
 
     study: Study
@@ -137,7 +138,8 @@ class JudgedAnswer:
     ) -> PartOrReason:
         """Take the distance to the exact orbit as the error due to truncated harmonics.
 
-        The error of f, a quantity, is |f - f_orbit|, with safety factor 1.
+        For a quantity, let f be the answer's value, and f_orbit the orbit's value. With safety
+        factor 1, the error is abs(f - f_orbit).
 
         Parameters
         ----------
@@ -147,7 +149,7 @@ class JudgedAnswer:
         Returns
         -------
         PartOrReason
-            Two harmonic counts, the answer's and the orbit's; and the error by quantity name.
+            Harmonic counts in the answer and in the orbit; and the error by quantity name.
         """
         harmonic_counts_of_answer_and_orbit = (
             self.answer.harmonics,
@@ -172,16 +174,17 @@ class JudgedAnswer:
     def estimate_error_by_friction(self) -> PartOrReason:
         """Estimate the error due to neglected friction (collective).
 
-        Two exact orbits are compared: without friction, and with the coefficient
-        ``contact.friction_error``. A solid may already have friction, along a fixed line at each
-        pair. Then the error follows from the sliding across these lines.
+        If the answer has no friction, two exact orbits are compared. The first orbit has no
+        friction, the second has the friction coefficient ``contact.friction_error``. A solid's
+        answer may include friction along a fixed line at each contact pair. Then the error follows
+        from the sliding across these lines.
 
         Returns
         -------
         PartOrReason
-            Mode counts in both runs, and the error by quantity name. If there is no error
-            estimate, a text with the reason. The text is empty if no pair touches. The text is also
-            empty if the scene sets ``contact.friction`` but has no friction lines.
+            Mode counts in both runs, and the error by quantity name. Without an error estimate, the
+            result is a text with the reason. The text is empty in two cases: no pair touches, or
+            the scene sets ``contact.friction`` and the answer has no friction lines.
         """
         study, scene, answer = self.study, self.study.scene, self.answer
         contact_law, structure = study.contact, study.structure
@@ -266,14 +269,15 @@ class JudgedAnswer:
         n_modes : int
             Number of kept modes; at most half the structure's dofs are kept.
         whole_structure : Structure
-            Unreduced structure with tangential gaps.
+            Unreduced structure with tangential gaps at the contact pairs.
         scene_changes_for_friction : dict of str to object
             Changed values by scene key, for the orbit with friction.
 
         Returns
         -------
         orbits : list of PeriodicOrbit
-            Orbit without friction, then with friction. If a search fails, the list ends before.
+            Orbit without friction, then with friction. If the second search fails, only the first
+            orbit; if the first search fails, an empty list.
         values_of_orbits : list of dict of str to float
             For each orbit, the values by quantity name.
         """
@@ -307,14 +311,20 @@ class JudgedAnswer:
     def _estimate_sliding_across_lines(self, friction_law: CoulombFriction) -> PartOrReason:
         """Estimate the error due to sliding across a solid's friction lines (collective).
 
-        A friction line is the fixed direction in which the friction of a contact pair acts. The
-        error of a quantity f is 2 r |f_0 - f|. f_0 is the quantity without friction. In the motion
-        without friction, r is the ratio of sliding across the lines to sliding along them.
+        A friction line is the fixed direction in which friction acts at a contact pair. Sliding
+        across the line is neglected. Let f be the answer's quantity, and f_0 the quantity in the
+        motion without friction. In this frictionless motion, r is the ratio of sliding across the
+        lines to sliding along the lines. The error is 2 r |f_0 - f|.
+
+        Parameters
+        ----------
+        friction_law : CoulombFriction
+            The answer's friction law, with the friction lines.
 
         Returns
         -------
         PartOrReason
-            The mode count, twice, and the error by quantity name.
+            Mode counts for both motions, two equal numbers; and the error by quantity name.
         """
         study, answer = self.study, self.answer
         structure, n_periods = study.structure, answer.subharmonic
@@ -360,8 +370,9 @@ def add_error_parts(
 ) -> Verification:
     """Return a verification with each cause's error part added (collective).
 
-    A cause's part is the contribution to each quantity's error. If a run is refused or
-    does not converge, the cause becomes unknown. A failed "mesh" makes all errors unknown.
+    A cause's part is the contribution to each quantity's error. If the run for a cause is refused
+    or does not converge, the contribution is recorded as unknown. If the run for "mesh" fails, all
+    total errors become unknown.
 
     Parameters
     ----------
@@ -424,12 +435,13 @@ def solve_by_orbit_or_harmonics(
 ) -> PeriodicSolution:
     """Solve a reduced study by an exact orbit, or by harmonic balance (collective).
 
-    If ``answer_orbit`` is given, an exact orbit of the study is sought first. If the search
-    succeeds, the solution has the Fourier coefficients of this orbit.
+    An exact orbit is a periodic motion in time, without truncated harmonics. If ``answer_orbit`` is
+    given, an exact orbit of the study is sought first. If the search succeeds, the solution has the
+    Fourier coefficients of this orbit.
 
-    Otherwise solve with half the harmonics first. Then solve with all harmonics, starting from the
-    first solution. A motion from rest is found in less time in these two steps. If the second step
-    does not converge, return the first solution.
+    Otherwise harmonic balance is solved twice: with half the harmonics, then with all, starting
+    from the first solution. From rest this takes less time than a single solution with all
+    harmonics. If the second step does not converge, return the first solution.
 
     Parameters
     ----------
@@ -442,7 +454,7 @@ def solve_by_orbit_or_harmonics(
     start_solution : PeriodicSolution, optional
         Start for the search; by default the linear response.
     answer_orbit : PeriodicOrbit or None
-        The answer's exact orbit. If stable, a stable orbit is preferred here, too.
+        The answer's exact orbit. If this orbit is stable, the search prefers a stable orbit.
     """
     if answer_orbit is not None:
         problem = _make_solver(study, omega, n_harmonics).problem

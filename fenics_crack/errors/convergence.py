@@ -64,13 +64,18 @@ class GridConvergence(Described):
     sizes, values : tuple of float
         Step sizes h_i, smallest first, and the value f_i computed with each size.
     behaviour : str
-        "asymptotic": the observed order is at least 0.5, and not above the scheme's order;
-        "outside": the values converge with an order outside this range;
-        "irregular": the values oscillate, diverge, or converge too fast to show an order;
-        "two sizes": two sizes show no order; "unchanged": the values agree to rounding;
-        "two coefficients": the sizes are friction coefficients, the first is 0;
-        "carried": the first value is from a run at a shifted load frequency, on the same mesh;
-        "exact orbit": the first value is the limit.
+        How the values converge:
+
+        - "asymptotic": the observed order is at least 0.5, and not above the scheme's order,
+        - "outside": the values converge with an order outside this range,
+        - "irregular": the values oscillate, diverge, or converge too fast to show an order,
+        - "two sizes": two sizes show no order,
+        - "unchanged": the values agree to rounding,
+        - "two coefficients": the values are without and with friction, and the sizes are two
+          friction coefficients, the first 0,
+        - "carried": both values are on the same mesh, the first at a shifted load frequency,
+        - "exact orbit": the first value, taken as the limit, is from a periodic motion without
+          truncated harmonics.
     order : float
         Observed order p; nan if none is observed.
     exponent : float
@@ -91,10 +96,10 @@ class GridConvergence(Described):
 
     @property
     def has_error_from_limit(self) -> bool:
-        """True if the error is the distance to the extrapolated value.
+        """True if a value's error is the distance to the extrapolated value.
 
-        For the behaviours "irregular", "carried" and "two coefficients", the error is the spread of
-        all values.
+        For the behaviours "irregular", "carried" and "two coefficients", False: the error is then
+        the spread of all values.
         """
         return self.behaviour not in ("irregular", "carried", "two coefficients")
 
@@ -146,7 +151,8 @@ def grid_convergence(
     Parameters
     ----------
     sizes : (2,) or (3,)
-        Different step sizes h, for elements or time steps, in any unit; or 1 / count.
+        Different step sizes h in any unit: element lengths or time steps. For counts, such as modes
+        or harmonics, the step size is 1 / count.
     values : (2,) or (3,)
         Value computed with each size.
     formal : float
@@ -314,10 +320,12 @@ def estimate_error_part_from_runs(
         Count and values by quantity name for two or three runs, the answer first. A quantity
         missing in a further run counts as 0 there.
     scene : Scene
-        The answer's scene. The body's sides are used for the cause "mesh".
+        The answer's scene. For the cause "mesh", the body's side lengths give the mean element
+        size.
     size_ratio : float, optional
-        Ratio h_2 / h_1 between two runs' step sizes; by default the ratio follows from the counts.
-        If given, the safety factor is 1: the error is an expected value, not a bound.
+        Ratio h_2 / h_1 between the second run's and the answer's step sizes. By default the ratio
+        follows from the counts. If given, the safety factor is 1: the error is an expected value,
+        not a bound.
     formal_order : float
         Convergence order expected by theory.
     scheme_order : float

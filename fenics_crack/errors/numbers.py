@@ -59,14 +59,19 @@ from fenics_crack.study.prepare import Study
 def natural_frequency_name(scene: Scene, kind: str, mode_number: int) -> str:
     """Return a natural frequency's name, such as "frequency_open_1" or "omega_open_1".
 
-    ``kind`` is "open", "tied" (bonded) or "bilinear"; modes count from 1. Scenes in Hz have
-    "frequency", in rad/s "omega".
+    If the scene states frequencies in Hz, the name begins with "frequency", otherwise with "omega".
+    ``kind`` is "open", "tied" (bonded crack) or "bilinear" (:func:`find_bilinear_omega`).
+    ``mode_number`` counts from 1.
     """
     return f"{'frequency' if scene.is_frequency_in_hertz else 'omega'}_{kind}_{mode_number}"
 
 
 def find_bilinear_omega(structure: Structure, mode_number: int) -> float:
-    """Return the bilinear frequency [rad/s] of a mode, counted from 1 (collective)."""
+    """Return the bilinear frequency [rad/s] of a mode, counted from 1 (collective).
+
+    The bilinear frequency 2 w_o w_t / (w_o + w_t) approximates the resonance with a breathing
+    crack. w_o is the mode's frequency with open crack, and w_t with bonded crack.
+    """
     return float(bilinear_frequencies(structure).omega_bilinear[mode_number - 1])
 
 
@@ -79,8 +84,9 @@ class MotionQuantities:
     values_by_name, unit_by_name : dict of str to float, and to str
         Value and unit of each quantity and natural frequency, by name.
     resonance_name : str
-        Name of the bilinear frequency belonging to ``mode_number``. Without contact pairs, name for
-        this mode's frequency with open crack.
+        Name in ``values_by_name`` of the frequency at resonance. This is the bilinear frequency of
+        the resonant mode, between the frequencies with open and with bonded crack. Without contact
+        pairs, the frequency with open crack.
     mode_number : int
         Resonant mode, counted from 1.
     """
@@ -99,7 +105,8 @@ def compute_numbers(
     """Compute the requested quantities and natural frequencies of a motion (collective).
 
     Quantities equal to zero, except for rounding, are left out. The natural frequencies are the
-    first three with open crack. The open, bonded and bilinear frequency of ``mode_number`` follow.
+    first three with open crack, then three for ``mode_number``: with open crack, with bonded crack,
+    and bilinear (:func:`find_bilinear_omega`).
 
     Parameters
     ----------
@@ -109,8 +116,8 @@ def compute_numbers(
     motion : PeriodicSolution or OrbitTruncatedToHarmonics
         Motion with the quantities.
     mode_number : int, optional
-        Resonant mode, counted from 1. Default: the mode with the resonance nearest to the
-        load frequency.
+        Resonant mode, counted from 1. Default: the mode with the resonance nearest to the load
+        frequency.
     """
     quantity_names = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
     values_by_name: dict[str, float] = {}
@@ -201,8 +208,9 @@ def find_accepted_orbit_or_none(solution: PeriodicSolution) -> PeriodicOrbit | N
     """Return the exact orbit approximated by a harmonic-balance solution (collective).
 
     An exact orbit is a periodic motion in time, without truncated harmonics. The orbit is accepted
-    if the gaps differ from the solution's by at most 10 % of the motion. If crack faces have no
-    mass, 50 % are allowed. None if no orbit is accepted, or if the search would take too long.
+    if the orbit's gaps are close to the solution's gaps. The difference may be 10 % of the gaps'
+    motion, or 50 % if crack faces have no mass. Return None if no orbit is accepted, or if the
+    search would take too long.
     """
     assessment = solution.assessment
     return (
@@ -250,8 +258,19 @@ def add_changes(
 ) -> dict[str, float]:
     """Add the change from a start motion to an end motion to each value.
 
-    Returns value + end - start by quantity name; quantities absent in ``start_by_name`` or
-    ``end_by_name`` count as 0.
+    Used to apply the change between two exact orbits to the answer's values.
+
+    Parameters
+    ----------
+    values_by_name : mapping of str to float
+        Values by quantity name.
+    start_by_name, end_by_name : mapping of str to float
+        The same quantities in the start and end motion. A missing quantity counts as 0.
+
+    Returns
+    -------
+    dict of str to float
+        Value + end - start by quantity name.
     """
     return {
         name: value + end_by_name.get(name, 0.0) - start_by_name.get(name, 0.0)
@@ -271,12 +290,14 @@ def choose_n_orbit_harmonics(solution: PeriodicSolution) -> int:
 class OrbitTruncatedToHarmonics(ObservedMotion):
     """Observe an exact orbit through the first Fourier coefficients alone.
 
+    Used to read the same quantities from an orbit as from a harmonic-balance solution.
+
     Attributes
     ----------
     orbit : PeriodicOrbit
         Periodic motion in time.
     harmonics : int
-        Number of harmonics that are kept.
+        Number of kept harmonics; higher harmonics are left out.
     """
 
     orbit: PeriodicOrbit
@@ -293,14 +314,16 @@ class OrbitTruncatedToHarmonics(ObservedMotion):
         return self.orbit.omega
 
     def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[MotionRecord]:
-        """Yield the :class:`Record` of m signals over the orbit's period.
+        """Yield records of m signals over the orbit's period.
 
-        A record has the Fourier coefficients up to the harmonic ``harmonics``.
+        Each record has the orbit's samples in time, and the Fourier coefficients up to the harmonic
+        ``harmonics``.
 
         Parameters
         ----------
         rows : (m, n_dofs)
-            Rows R. The signals are R u with the displacement u, for example watched dofs.
+            Matrix R. The signals are R u with the displacement u. For example, a row with a single
+            1 selects a watched dof.
         """
         coefficient_rows = self.orbit.product_coefficients(rows, self.harmonics)
         return (
@@ -344,8 +367,9 @@ def measure_absolute_changes_by_name(
 ) -> dict[str, float]:
     """Measure the size of change between two motions, for each quantity (collective).
 
-    A quantity may stay equal by chance although the motion changes. So the size is measured on the
-    motion, and changes in phase count, too:
+    Used as a lower limit of a quantity's change: a quantity may stay equal by chance although the
+    motion changes. So the size is measured on the motion, and changes in phase count, too. The size
+    depends on the quantity:
 
     - amplitudes, opening, crack force: standard deviation over the period of the change in
       displacement, gap or force; the maximum over pairs or cracks;
@@ -453,9 +477,14 @@ def _pair_contributions_by_name(
 ) -> dict[str, np.ndarray]:
     """Return each pair's contribution (n_pairs,) to sums over contact pairs, by quantity name.
 
-    "closed_share" is the fraction of the period in which the pair is closed, divided by n_pairs.
-    "slip_share" is the same for slipping. "friction_loss" is the pair's dissipated energy. Without
-    friction, "closed_share" alone is returned.
+    ``record`` gives the number of pairs and the friction coefficient. ``crack_faces`` gives gaps
+    and forces. The contributions are:
+
+    - "closed_share": fraction of the period in which the pair is closed, divided by n_pairs,
+    - "slip_share": fraction of the period in which the pair slips, divided by n_pairs,
+    - "friction_loss": dissipated energy in the pair [J].
+
+    Without friction, the result has "closed_share" alone.
     """
     contributions_by_name = {
         "closed_share": (crack_faces.force > 0.0).mean(axis=0) / record.n_pairs

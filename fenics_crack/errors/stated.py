@@ -147,10 +147,14 @@ Motion = PeriodicOrbit | PeriodicSolution
 def estimate_result_errors(study: Study, result: object) -> Verification | None:
     """Estimate the stated errors of a result (collective).
 
-    The result may be natural modes, or a converged solution with an error report. The result may
-    also be a curve over frequency or speed: then the errors are the largest response's. A largest
-    response inside the curve is a peak, and moves with the resonance. For any further result,
-    return None.
+    Stated errors exist for three kinds:
+
+    - natural modes,
+    - a converged solution with an error report,
+    - a curve over frequency or speed; the errors belong to the largest response.
+
+    A largest response inside the curve is a peak, and moves with the resonance. For any further
+    result, return None.
     """
     if isinstance(result, Modes):
         return estimate_frequency_mesh_errors(study, {"open": result.omega})
@@ -173,10 +177,10 @@ def _estimate_run_up_errors(
     """Estimate the errors of a solution in a run-up (collective).
 
     In a run-up the load frequency follows the rotor speed W [rad/s]. The scene is solved again at
-    the solution's speed, held constant, and with as many modes. The errors of this second solution
-    are returned, and the error of the quantity "speed", the speed at resonance. Let w be the
-    resonance frequency and s = d ln w / d ln W. If w has the relative error e, the speed then
-    has the relative error e / (1 - s).
+    the solution's speed, held constant, with as many modes as before. This second solution's errors
+    are returned. A further quantity is added: "speed", the speed at resonance. The speed's error
+    follows from the resonance frequency w. If w has the relative error e, the speed has the
+    relative error e / (1 - s), with s = d ln w / d ln W.
 
     Parameters
     ----------
@@ -249,13 +253,14 @@ def estimate_frequency_mesh_errors(
     study : Study
         Study with the unreduced structure.
     omega_by_kind : dict of str to (m,) [rad/s]
-        Natural frequencies with "open" and "tied" (bonded) crack faces.
+        Natural frequencies for m modes, with crack faces "open" and "tied" (bonded).
     load_resonance : ResonanceUnderLoad
         Resonance under the load on the same structure. Frequency and amplitude at resonance
         (``load_resonance.numbers``) are included in the result.
     squared_omega_slopes : (m,), optional
-        S = d(w^2) / d(W^2) of each mode's frequency w over the rotor speed W, from
-        :func:`find_key_figures`. If None, the load's resonance is not computed on the coarser mesh.
+        Slope d(w^2) / d(W^2) for each mode, with the natural frequency w and the rotor speed W,
+        from :func:`find_key_figures`. If None, the load's resonance is not computed on the coarser
+        mesh.
     """
     scene = study.scene
     unit_factor, _, unit = choose_frequency_factor_name_unit(scene.is_frequency_in_hertz)
@@ -320,9 +325,10 @@ def estimate_solution_errors(
     Returns
     -------
     Verification
-        Errors by cause and quantity. For a cause without an error estimate, ``absent`` or
-        ``unknown`` has the reason. A cause that does not apply is left out. If the structure is
-        large and not reduced, or the answer's own error report is unknown, no errors are estimated.
+        Errors by cause and quantity. If a cause contributes nothing, the reason is in the attribute
+        ``absent``. If a contribution is unknown, the reason is in ``unknown``. A cause without a
+        meaning for the scene is left out. In two cases no errors are estimated: the structure is
+        large and not reduced, or the answer's error report is unknown.
     """
     numbers = compute_numbers(study, answer)
     verification = Verification(study.scene, numbers.values_by_name, numbers.unit_by_name)
@@ -370,7 +376,11 @@ def find_largest_modal_error(study: Study, solution: PeriodicSolution) -> float:
 
 
 def describe_unknown_error_part(report: ErrorReport) -> str:
-    """Return a sentence with the error's largest cause, for a report with unknown error."""
+    """Describe in a phrase an error without an estimate.
+
+    ``report`` is an error report with unknown error. The phrase names the largest cause in the
+    report.
+    """
     part_name = report.largest_part
     text_by_part = {"truncation": "truncated harmonics", "reduction": "truncated modes"}
     return f"the error due to the {text_by_part.get(part_name, part_name)} could not be estimated"
@@ -391,13 +401,14 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def estimate_error_by_modes(self) -> PartOrReason:
         """Estimate the error due to truncated modes from a motion with more modes (collective).
 
-        By assumption the added modes remove the fraction s of the truncation error. So the error is
-        the quantity's change, divided by s. A quantity may stay nearly equal by chance. If the
-        motion's size of change (:func:`measure_absolute_changes_by_name`) is larger than the
-        quantity's change, the larger value counts.
+        By assumption the added modes remove a fraction s of the truncation error. So a quantity's
+        error is the change by the added modes, divided by s. A quantity may stay nearly equal by
+        chance although the motion changes. So the change is at least the motion's size of change
+        (:func:`measure_absolute_changes_by_name`).
 
-        With few harmonics, modes above the highest harmonic seem static. If both motions have few
-        harmonics, the error is therefore at least the error due to harmonics.
+        A solution with few harmonics treats added modes above the highest harmonic nearly as
+        static. If both motions have few harmonics, the error is therefore at least the error due to
+        harmonics.
 
         Returns
         -------
@@ -465,13 +476,14 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _find_motions_with_kept_and_more_modes(self, larger_study: Study) -> tuple[Motion, Motion]:
         """Find a motion with the kept modes, and a motion with more modes (collective).
 
-        If possible, both motions are exact orbits next to the answer. Few harmonics are less than
-        40 per load period (:data:`MIN_HARMONICS_FOR_MODAL_CHANGE`). With few harmonics, the second
-        motion may be the first orbit after a step of Newton's method, if no second orbit is found.
+        Used to compare both motions. If possible, both are exact orbits next to the answer:
+        periodic motions without truncated harmonics. The second orbit may not be found. If the
+        answer has less than 40 harmonics per load period (:data:`MIN_HARMONICS_FOR_MODAL_CHANGE`),
+        a step of Newton's method from the first orbit replaces the second orbit.
 
         Without orbits, both motions are harmonic-balance solutions with equal numbers of harmonics.
-        If crack faces have no mass and orbits are found quickly, both solutions have at least 40
-        per load period.
+        If crack faces have no mass and orbits are found quickly, the number is at least 40 per load
+        period.
 
         Parameters
         ----------
@@ -480,7 +492,10 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
 
         Returns
         -------
-        base_motion, motion_with_more_modes : PeriodicOrbit or PeriodicSolution
+        base_motion : PeriodicOrbit or PeriodicSolution
+            Motion with the kept modes.
+        motion_with_more_modes : PeriodicOrbit or PeriodicSolution
+            Motion with more modes.
         """
         balance_solution, assessment = self.balance_solution, self.answer.assessment
         min_harmonics = MIN_HARMONICS_FOR_MODAL_CHANGE * balance_solution.subharmonic
@@ -649,21 +664,28 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _estimate_error_by_coarser_mesh(self) -> PartOrReason:
         """Estimate the error due to the mesh from a coarser mesh, modes unchanged (collective).
 
-        The shape error is the change by the mesh at equal distance from the resonance. The shift
-        error is the change because the resonance moves; 0 for a peak. Both are added with signs,
-        for several convergence orders p from 1 to the elements' best order. The largest absolute
-        sum counts.
+        The main error is the sum, with signs, of two errors:
 
-        The root of the sum of squares adds four contributions: a tenth of the smaller error; the
-        change with a shifted clearance; the error of K_I at closed crack fronts; and the increase
-        of displacement under a point force. A stress intensity's error is at least the largest
-        change along a crack front.
+        - the shape error: the change by the mesh at equal distance from the resonance,
+        - the shift error: the change because the mesh moves the resonance; 0 for a peak.
+
+        Both are extrapolated from the coarser mesh with an assumed convergence order p. Several p
+        are tried, from 1 to the elements' best order. The largest absolute sum counts.
+
+        Four further contributions are added, as the root of the sum of squares:
+
+        - a tenth of the smaller error, shape or shift,
+        - the change with a shifted clearance (:meth:`_compute_values_with_shifted_clearance`),
+        - the error of K_I at closed crack fronts,
+        - the increase of displacement under a point force if elements were half as long.
+
+        A stress intensity's error is at least the largest change along a crack front.
 
         Returns
         -------
         PartOrReason
-            Element counts in both meshes, and the error by quantity name. Without a coarser mesh,
-            a text with the reason.
+            Element counts in both meshes, and the error by quantity name. Without a coarser mesh, a
+            text with the reason.
         """
         study, balance_solution = self.study, self.balance_solution
         coarse_study_or_reason = prepare_coarser_study_or_reason(study)
@@ -755,14 +777,15 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     ) -> list[dict[str, float]]:
         """Compute the quantities as if the resonance were shifted (collective).
 
-        The load frequency is divided by 1 + shift, and the resonance stays in place. Each solution
-        starts from rest, as on a finer mesh, and may reach a different motion. If the answer is a
-        curve's peak, a shift does not change the quantities.
+        Instead of the resonance, the load frequency is moved: divided by 1 + shift. Each solution
+        starts from rest, since a solution on a finer mesh would start from rest, too. So the
+        solution may be far from the answer. If the answer is a curve's peak, a shift does not
+        change the quantities.
 
         Parameters
         ----------
         relative_shifts : (n,)
-            Relative changes in the resonance frequency, from the answer's mesh.
+            Changes in the resonance frequency, relative to the frequency on the answer's mesh.
 
         Returns
         -------
@@ -812,11 +835,13 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         )
 
     def _find_mode_affecting_answer_most(self) -> int:
-        """Find the mode with the most influential resonance shift at watched points (collective).
+        """Find the mode with the most effect on the answer by a frequency shift (collective).
 
-        Return the mode's number, from 1. Let w be the load frequency, w_j the bilinear frequency of
-        mode j and U_k the amplitude of harmonic k. A relative shift of w_j changes the harmonic by
-        about 2 U_k / |1 - (k w / w_j)^2| times the shift. The largest factor selects the mode.
+        Return the mode's number, from 1. A small relative shift in the mode's bilinear frequency
+        w_j changes a displacement's harmonic k. The change is about 2 U_k / |1 - (k w / w_j)^2|
+        times the shift. Here U_k is the harmonic's amplitude at a watched point, and w the load
+        frequency. The mode with the largest factor, over all harmonics and watched points, is
+        selected.
         """
         balance_solution = self.balance_solution
         watched_point_coefficients = balance_solution.coefficients_at(
@@ -857,11 +882,13 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _compute_values_with_shifted_clearance(self) -> dict[str, float]:
         """Compute the quantities with each crack's clearance shifted (collective).
 
-        The end of the closed zone is known to half a distance between pairs. So the clearance of a
-        crack is shifted by 0.5 D P [m]:
+        Used to estimate an error due to the distance between contact pairs. Along a crack, a closed
+        zone ends between two pairs, so the end is known to half this distance. The clearance of a
+        crack is therefore shifted by 0.5 D P [m]:
 
-        - D is the mean difference in extreme gaps between neighbouring pairs. The extreme gap is a
-          pair's smallest gap if every pair closes in the period; otherwise the largest gap.
+        - D is the mean difference in extreme gaps between neighbouring pairs. If every pair closes
+          in the period, the extreme gap is a pair's smallest gap. Otherwise the extreme gap is a
+          pair's largest gap.
         - P is the difference between the longest and the shortest closed time among the pairs, as a
           fraction of the period.
 
@@ -898,9 +925,10 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
 
 
 def _without_refused_stress_intensities(study: Study) -> Study:
-    """Remove requested stress intensities if a study's elements are too long for them.
+    """Remove requested stress intensities if a study's elements are too long to compute them.
 
-    Return the changed study, or the study itself.
+    Return a study without the stress intensities. If the elements are short enough, return the
+    study itself.
     """
     try:
         make_requested_rows_and_readers(study)

@@ -86,13 +86,13 @@ class Verification(SavableResult):
     parts : dict of str to dict of str to GridConvergence
         For each cause and quantity, the values in all runs and the estimated error. Causes are
         "mesh", "shift" (of the resonance by the mesh), "modes", "harmonics", "friction" and
-        "samples". Step sizes, smallest first, are:
+        "samples". The attribute ``sizes`` has the runs' step sizes, smallest first:
 
-        - mesh, shift: side of a mean element [m]. The scene's own value is the last; if the second
-          mesh is coarser, the first.
-        - modes, harmonics, samples: 1 / count. The scene's own value is the last.
-        - friction: two friction coefficients, or 0 and 1 for friction along lines. The scene's own
-          value is the first.
+        - mesh, shift: side of a mean element [m]. The scene's mesh is the last, or the first if the
+          second mesh is coarser.
+        - modes, harmonics, samples: 1 / count. The scene's count is the last.
+        - friction: friction coefficients, 0 and the assumed coefficient. If friction already acts
+          along fixed lines: 0 and 1. The scene's own value is the first.
     counts : dict of str to tuple of int
         Numbers of elements, modes, harmonics or samples by cause, the scene's count first. For
         friction: the modes in both solutions.
@@ -101,7 +101,7 @@ class Verification(SavableResult):
     unknown : dict of str to str
         For each cause with an unknown contribution, the reason. No total includes these causes.
     failed_causes : tuple of str
-        Unknown causes with a failed run. Each makes the errors of all quantities unknown.
+        Causes with a failed run, also listed in ``unknown``. Each makes all total errors unknown.
     failures : tuple of str
         Name and error of each run refused or not converged.
     verdicts : dict of str to str
@@ -147,7 +147,7 @@ class Verification(SavableResult):
         return replace(self, absent=self.absent | {cause: part_or_reason})
 
     def with_unknown(self, cause: str, reason: str) -> Verification:
-        """Return a copy with a cause of unknown contribution, and the reason."""
+        """Return a copy with a cause recorded in ``unknown``, and the reason."""
         return replace(self, unknown=self.unknown | {cause: reason})
 
     # --- files ------------------------------------------------------------------------------------
@@ -194,7 +194,8 @@ class Verification(SavableResult):
     def find_reasons_by_missing_cause(self, quantity: str) -> dict[str, str]:
         """Return the causes missing in a quantity's error, each with the reason.
 
-        A cause is missing if runs varied the cause, but gave no error for this quantity.
+        A cause is missing if further runs varied the cause, but gave no error for this quantity.
+        The result has the cause as key and the reason as value.
         """
         return {
             cause: UNKNOWN_ERROR_REASON_BY_CAUSE.get(
@@ -265,14 +266,14 @@ class Verification(SavableResult):
             Total error (:meth:`total`) over the quantity's absolute value. nan, if the error is
             unknown:
 
-            - no cause has a part for this quantity;
-            - harmonics or modes are unknown causes, or the run on the second mesh failed;
-            - the total is 0, and any cause is unknown or lacks a part.
+            - no cause has an error estimate for this quantity;
+            - the error due to harmonics or modes is unknown, or the run on the second mesh failed;
+            - the total is 0, and the error due to any cause is unknown.
 
             inf, if the total is as large as the quantity.
         cause : str
-            Cause with the largest part: "mesh", "modes", "harmonics", "friction" or "samples". ""
-            if the error is nan.
+            Cause with the largest error: "mesh", "modes", "harmonics", "friction" or
+            "samples". "" if the error is nan.
         """
         is_unknown = any(
             cause in self.unknown for cause in (*REQUIRED_ERROR_CAUSES, *self.failed_causes)
@@ -291,8 +292,8 @@ class Verification(SavableResult):
     def doubt(self, quantity: str) -> str:
         """Return why a quantity's error is unknown, or as large as the value.
 
-        The text is empty if the error is known and smaller. Mesh or friction left out by the user's
-        choice gives no doubt, either.
+        If the error is known and smaller than the value, the text is empty. An error due to the
+        mesh or friction may be left out by the user's choice. This choice gives no text, either.
         """
         for cause in (*REQUIRED_ERROR_CAUSES, *self.failed_causes):
             if cause in self.unknown:
@@ -305,21 +306,28 @@ class Verification(SavableResult):
 
     @property
     def resonance(self) -> str:
-        """Name in ``values`` of the resonance next to the result; "" without crack faces.
+        """Name in ``values`` of the resonance frequency nearest to the load frequency.
 
-        In a run-up the name is "speed", the speed at the resonance.
+        The name is "" without crack faces. In a run-up the name is "speed", the rotor speed at the
+        resonance.
         """
         bilinear_names = (name for name in self.values if "_bilinear_" in name)
         return "speed" if "speed" in self.values else next(bilinear_names, "")
 
     @property
     def omitted_causes_text(self) -> str:
-        """Unknown causes in words: "error due to the mesh not included"; "" without any."""
+        """Phrase naming the causes with unknown error: "error due to the mesh not included".
+
+        The phrase is "" without unknown causes.
+        """
         return describe_omitted_causes(self.unknown)
 
     @property
     def omitted_causes_and_reasons_text(self) -> str:
-        """Unknown causes (:attr:`omitted_causes_text`) with the reasons; "" without any."""
+        """Phrase naming the causes with unknown error, with the reasons.
+
+        The phrase is :attr:`omitted_causes_text`, and then the reasons; "" without unknown causes.
+        """
         reasons_text = "; ".join(dict.fromkeys(self.unknown.values()))
         return f"{self.omitted_causes_text}: {reasons_text}" if self.unknown else ""
 
@@ -328,9 +336,9 @@ class Verification(SavableResult):
     def totals(self) -> Table:
         """Tabulate values and errors, a row per quantity.
 
-        Columns: value; error by each cause; total error for independent causes, and sum over all
-        errors; the mesh's observed order; and the extrapolated value. Errors are in percent of the
-        value, to three digits.
+        Columns: value; error by each cause; total error, the root of the sum of squares; sum over
+        all errors; observed order of convergence over the mesh; and the extrapolated value. Errors
+        are in percent of the value, to three digits.
         """
         table_rows = []
         for quantity_name, value in self.values.items():
@@ -366,12 +374,16 @@ class Verification(SavableResult):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return errors by cause as columns by heading, with several rows per quantity.
+        """Return a table of errors as columns by heading.
 
-        Each quantity has a row per cause. Two rows follow, for the total with independent causes
-        and for the sum. A cause's row has the counts and values in up to three runs, and the
-        observed order. The safety factor, and the uncertainty of the scene's value, follow. Entries
-        without a meaning are nan.
+        The table has several rows for each quantity: a row for each cause, then a row for the total
+        with independent causes, then a row for the sum. A cause's row has these columns:
+
+        - count and value in each run, for up to three runs,
+        - the observed order of convergence, and the safety factor,
+        - the uncertainty of the scene's value.
+
+        Entries without a meaning are nan.
         """
         rows = [row for name in self.values for row in self._yield_cause_rows(name)]
         column_headings = dict.fromkeys(column_heading for row in rows for column_heading in row)
@@ -468,11 +480,11 @@ class Verification(SavableResult):
 
     @property
     def statement(self) -> tuple[str, ...]:
-        """Sentences on the errors: the first quantity's and the largest, then warnings.
+        """Sentences on the errors, for printing.
 
-        The largest error is meant relative to the quantity's value.
-
-        Causes without a contribution are listed with the reasons, before the :attr:`warnings`.
+        The first sentence states the error of the scene's first quantity. If a different quantity
+        has the largest relative error, the next sentence states this error. Causes without a
+        contribution follow, each with the reason. The :attr:`warnings` come last.
         """
         main_quantity_name = next(iter(self.values))
         relative_total_by_name = {
@@ -495,8 +507,9 @@ class Verification(SavableResult):
     def warnings(self) -> tuple[str, ...]:
         """Sentences with doubts about the errors.
 
-        Subjects: unknown causes, missing parts, failed runs, unstable orbits, doubtful orders, a
-        force at a point, a contact stiffness per pair.
+        Doubts are: causes with unknown error, quantities without an error for a cause, failed runs
+        and unstable orbits. Further doubts are doubtful orders of convergence, a force at a point,
+        and a contact stiffness given for each pair.
         """
         sentences = [
             f"the totals do not include the error due to the {cause}: {reason_text}"
@@ -536,9 +549,10 @@ class Verification(SavableResult):
 
     @property
     def incomplete_error_notes(self) -> tuple[str, ...]:
-        """Sentences on quantities with an error lacking a varied cause.
+        """Sentences on quantities without an error estimate for a varied cause.
 
-        Each sentence names the missing cause and the reason.
+        Used as warnings: the totals for the named quantities do not include the cause. Each
+        sentence names the quantities, the cause and the reason.
         """
         return tuple(
             f"{', '.join(names_without_cause)}: error due to the {cause} not included: "
@@ -553,9 +567,11 @@ class Verification(SavableResult):
 
     @property
     def point_force_warnings(self) -> tuple[str, ...]:
-        """Warning about the unlimited displacement under a point force; empty without.
+        """Warning about the unlimited displacement under a point force.
 
-        Given if elements half as long add more than 1 % to the amplitude at the load.
+        The displacement grows as elements become smaller. The tuple has a sentence if elements half
+        as long add more than 1 % to the amplitude at the load. Otherwise, and without a point
+        force, the tuple is empty.
         """
         scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
         amplitude_increase = displacement_added_by_halved_elements(scene)
@@ -632,16 +648,17 @@ def read_verification_or_none(result_file: StoredFile) -> Verification | None:
 
 
 def displacement_added_by_halved_elements(scene: Scene) -> float:
-    """Estimate the displacement [m] added by halved elements under a point force.
+    """Estimate the displacement [m] at a point force added by elements half as long.
 
-    F [N] is the amplitude of the force at a point, E Young's modulus [Pa], t the thickness [m], h
-    the element size [m]. The force acts at a corner with angle a [rad]: pi on an edge, 2 pi inside.
-    In a plate the added displacement is F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)). In a
-    solid it is about F / (E h).
+    The displacement under a point force has no limit as the element size h [m] becomes smaller. F
+    [N] is the force's amplitude, E Young's modulus [Pa], t the thickness [m]. a [rad] is the angle
+    of material around the force: pi on an edge, 2 pi inside. In a plate the added displacement is F
+    / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)). In a solid the added displacement is about F /
+    (E h).
 
-    Return 0 if no force acts at a point, if the scene gives matrices instead of a body, or if a
-    solid has no ``mesh.size``.
-    Source: Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
+    Return 0 if no force acts at a point, or if the scene gives matrices instead of a body. Also
+    return 0 if a solid has no ``mesh.size``. Source: Timoshenko, Goodier, Theory of Elasticity,
+    sections 36 to 38.
     """
     point_loads = [load for load in scene.loads if load.point is not None]
     load = scene.excitation if scene.excitation.first_force_key else next(iter(point_loads), None)

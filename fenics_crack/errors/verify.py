@@ -77,15 +77,15 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
 
     Mesh, modes, harmonics and samples are refined twice, each cause alone. Elements become 2 and 3
     times shorter. In layout "graded" the factors are 1.5 and 2 if a mesh with the same grading and
-    elements 1.5 times shorter exists. Counts are multiplied by 2 and 4. The three values f_i of
-    each quantity give the observed order p, the extrapolated value f and the uncertainty
-    F abs(f_i - f). The factor of safety F is 1.25 or 3
+    elements 1.5 times shorter exists. Mode, harmonic and sample counts are multiplied by 2 and 4.
+    The three values f_i of each quantity give the observed convergence order, the extrapolated
+    value f and the uncertainty F abs(f_i - f). The factor of safety F is 1.25 or 3
     (:func:`fenics_crack.grid_convergence`; Roache 1994, Celik et al. 2008, ASME V&V 20-2009).
 
-    The error due to harmonics may follow from an exact orbit, a periodic motion in time without
-    truncated harmonics. The orbit's gaps must differ from the solution's by at most 10 % of the
-    motion, or 50 % if crack faces have no mass. ``harmonic_balance.samples`` must not be set. The
-    error is then the distance to the orbit's numbers. The error due to friction follows from exact
+    If possible, the error due to harmonics is the distance to an exact orbit, a periodic motion in
+    time without truncated harmonics. Two conditions must hold. The orbit's gaps must differ from
+    the solution's gaps by at most 10 % of the motion, or 50 % if crack faces have no mass.
+    ``harmonic_balance.samples`` must not be set. The error due to friction follows from exact
     orbits with and without friction.
 
     If the scene gives a tolerance, numbers of harmonics and modes are chosen first. A mesh from a
@@ -246,14 +246,14 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         cause : str
             Cause to judge.
         finer_scenes : sequence of (name, count, scene)
-            Finer runs: name; number of modes, harmonics or samples; and scene. For a mesh,
-            the count is None: the elements are counted after meshing.
+            For each finer run: a name for messages, the mode, harmonic or sample count, and the
+            scene. If the mesh is finer, the count is None: the elements are counted after meshing.
         count : int
-            Element, mode, harmonic or sample count in the answer.
+            The answer's count: elements, modes, harmonics or samples.
         formal_order : float
             Convergence order expected by theory.
         scheme_order : float
-            Largest possible order. Values with a larger observed order are irregular.
+            Largest possible order. If a larger order is observed, the values are called irregular.
         shared_study : Study, optional
             Study with the structure for all runs. If None, a structure is made for each run.
 
@@ -304,10 +304,10 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         scene : Scene
             Scene with a finer mesh, more modes, harmonics or samples.
         shared_study : Study or None
-            Study with the structure to use. If not reduced yet, the structure is reduced as
-            ``scene`` says. If this is the answer's study, the search starts from the answer. If
-            None, a new mesh is made. The load frequency is then scaled with the bilinear frequency
-            of the resonance.
+            Study with the structure to use. An unreduced structure is first reduced as ``scene``
+            says. If this is the answer's study, the search starts from the answer. If None, a new
+            mesh is made. Then the load frequency is scaled as the resonance, by the ratio between
+            the bilinear frequencies on both meshes.
         """
         study, mode_number = self.study, self.balance_quantities.mode_number
         start_solution = self.answer if shared_study is study else None
@@ -327,10 +327,17 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def _compute_run_values_by_name(self, run: SolvedStudy, cause: str) -> dict[str, float]:
         """Return a finer run's values by quantity name (collective).
 
-        For the cause "modes" exact orbits are compared, if answer and run both have an orbit that
-        is close enough (:func:`find_accepted_orbit_or_none`). The value is then the answer's value
-        plus the change from orbit to orbit. The reason: with few harmonics, all modes above the
-        highest harmonic seem static.
+        For the cause "modes", exact orbits are compared if possible. Answer and run must both have
+        an orbit close enough (:func:`find_accepted_orbit_or_none`). The value is then the answer's
+        value, plus the change from the answer's orbit to the run's orbit. The reason: a solution
+        with few harmonics treats modes above the highest harmonic nearly as static.
+
+        Parameters
+        ----------
+        run : SolvedStudy
+            Finer run, with the study and the solution.
+        cause : str
+            Varied error cause, for example "mesh".
         """
         if cause == "modes" and self.orbit_values_by_name is not None:
             orbit = find_accepted_orbit_or_none(run.result)
@@ -430,9 +437,14 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         """Estimate the error because a finer mesh would shift the resonance (collective).
 
         Instead of the resonance, the load frequency is moved on the answer's mesh, in the opposite
-        direction. Two moves are half and all the uncertainty in the resonance frequency. A third
-        move leads to the extrapolated resonance, if known. A quantity's error is the largest change
-        at all these moves. The smaller moves matter, as a peak of the response may lie between.
+        direction. The response is solved at two or three load frequencies:
+
+        - moved by half the resonance frequency's uncertainty,
+        - moved by the whole uncertainty,
+        - moved by the difference from the extrapolated resonance frequency, if known.
+
+        A quantity's error is the largest change at the moved load frequencies. The smaller moves
+        matter, as the response may have a peak in between.
 
         Parameters
         ----------
@@ -442,8 +454,8 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         Returns
         -------
         PartOrReason
-            Element counts on the coarsest and finest mesh, and the error by quantity name. "" if
-            ``verification`` has no errors due to the mesh.
+            Element counts on the answer's mesh and on the finest mesh, and the error by quantity
+            name. "" if ``verification`` has no errors due to the mesh.
         """
         if "mesh" not in verification.parts:
             return ""
