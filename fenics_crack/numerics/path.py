@@ -284,14 +284,15 @@ class Event(ABC):
     def mark_steps_with_event(self, segment: ConsecutivePathPoints) -> np.ndarray:
         """Mark steps between neighbouring points with a possible event: (n-1,) bool.
 
-        ``segment`` has n points. :meth:`locate` is called for each marked step.
+        ``segment`` has n points. Only for marked steps, :meth:`locate` then searches the event.
         """
 
     @abstractmethod
     def locate(self, system: System, ends: StepEnds, rtol: float) -> PathPoint | None:
-        """Locate the event between two neighbouring points ``ends``, with |F| / |x| <= ``rtol``.
+        """Locate the event between two neighbouring points, to |F| / |x| <= ``rtol``.
 
-        None if the step has no event, or if the search fails.
+        ``ends`` has the two points, and F(x, p) = 0 are the equations of ``system``. The result is
+        None if there is no event between them, or if the search fails.
         """
 
 
@@ -336,7 +337,7 @@ def _sign_of_tangent_part_times_determinant(system: System, point: PathPoint) ->
 
 
 class ZeroCrossing(Event):
-    """Sign change of a function f(point) along a path.
+    """Point of a path at which a given function f(point) changes its sign.
 
     :func:`find_zero_point_and_function_value` locates the zero.
     """
@@ -586,23 +587,28 @@ def _find_fold_or_target(
 
 
 class StepRejectionRule(ABC):
-    """Rule to reject steps of a path as too long, by ``step_control_values`` of the points."""
+    """Rule to reject steps of a path as too long.
+
+    The rule compares ``step_control_values`` of neighbouring points. The system computes these
+    values, such as Floquet multipliers.
+    """
 
     @abstractmethod
     def mark_rejected_steps(
         self, segment: ConsecutivePathPoints, first_index: int = 0
     ) -> np.ndarray:
-        """Return True for each step that is too long: (n-1-first_index,) bool.
+        """Mark the steps that are too long by True: (n-1-first_index,) bool.
 
         ``segment`` has n points, with n-1 steps between them. Steps before the point
-        ``first_index`` are not judged.
+        ``first_index`` are not judged, and have no entry in the result.
         """
 
 
 def step_control_values_or_none(system: System, linearisation: Linearisation) -> np.ndarray | None:
-    """Return a point's values for a step control; None if the system has none.
+    """Return a point's values for the rule that rejects steps; None if the system has none.
 
-    ``linearisation`` belongs to the point; the values come from :attr:`Linearisation.record`.
+    The system computes the values from the :attr:`Linearisation.record` of ``linearisation``, the
+    equations linearised at the point.
     """
     values_function_or_none = getattr(system, "step_control_values", None)
     return (
@@ -778,9 +784,10 @@ class Path:
     # --- its steps --------------------------------------------------------------------------------
 
     def _with_record_and_step_control_values(self, point: PathPoint) -> PathPoint:
-        """Return a point with ``record`` and ``step_control_values`` from the system.
+        """Return a point with the numbers by which the step control rejects steps.
 
-        Without a step control the point comes back unchanged.
+        The numbers are ``record`` and ``step_control_values`` from the system. Without a step
+        control the point is returned unchanged.
         """
         if self._step_control is None or point.step_control_values is not None:
             return point
