@@ -120,7 +120,7 @@ class GrowingCurve:
         at p = 0.
     start_point : PathPoint
         First point, with the direction.
-    step_limits : ContinuationLimits
+    continuation_limits : ContinuationLimits
         Longest step, most points, and allowed turning back.
     tolerance : float, optional
         Error tolerance for solutions from exact orbits; None: harmonic balance.
@@ -240,7 +240,10 @@ class GrowingCurve:
         return self.unjudged_curve
 
     def progress_fraction(self) -> float:
-        """Return the completed fraction of the path from start to end, 0 to 1."""
+        """Return the fraction of the path from start to end that is done.
+
+        It is the path parameter at the last point, limited to the range from 0 to 1.
+        """
         return min(1.0, max(0.0, self._last_path_point.parameter))
 
     def describe_progress(self) -> str:

@@ -446,9 +446,10 @@ def resonance_at(
 
 
 def problem_at_small_load(problem: Problem) -> Problem:
-    """Return a problem with a thousandth of the vibrating load.
+    """Return a problem with a thousandth of the vibrating load; the mean load stays.
 
-    The mean load stays. A crack then stays open or closed if the mean load holds it so.
+    Used to find the resonance at small amplitudes. A crack then stays open or closed if the mean
+    load holds it so.
     """
     return EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary_problem(problem, SMALL_LOAD_FACTOR)
 

@@ -503,11 +503,12 @@ def attractor_from_rest(solution: PeriodicSolution) -> Attractor | None:
 
 
 def stability_of(assessment: Assessment) -> Stability:
-    """Return the stability of an assessed solution by its nearest exact orbit.
+    """Return the stability of a solution by its nearest exact orbit.
 
-    The verdict is "undecided", with a reason, if no orbit is accepted, or if the largest
-    modulus differs from 1 by at most 1e-6. Without an orbit, the verdict is "irregular" if a small
-    disturbance of the exact motion grows.
+    ``assessment`` compares the solution with exact motions. The verdict is "undecided", with a
+    reason, in two cases: no orbit is accepted for the solution, or the largest modulus of the
+    orbit's Floquet multipliers differs from 1 by at most 1e-6. If no orbit is found, the verdict is
+    "irregular" if a small disturbance of the exact motion grows.
     """
     orbit, irregular_attractor = assessment.nearest_orbit, assessment.irregular_attractor
     if orbit is None:
@@ -549,9 +550,19 @@ def _stability_by_linear_flow(
 ) -> Stability:
     """Return the stability of a solution by the multipliers of its linear flow.
 
-    The uncertainty is the change of the largest modulus with twice the harmonics. The verdict is
-    "undecided" if the modulus is 1 within this uncertainty, or if the solution's truncation error
-    is unknown or above 0.05.
+    The linear flow is the motion of small disturbances, with contact linearised along the solution.
+    Used for smooth laws without an exact flow. The largest modulus of the multipliers decides. Its
+    uncertainty is the change with twice the harmonics. The verdict is "undecided" if the modulus is
+    1 within this uncertainty, or if the solution's truncation error is unknown or above 0.05.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the solution.
+    solution : PeriodicSolution
+        Harmonic-balance solution.
+    contact : ContactLaw
+        Law of all pairs.
     """
     gap_coefficients = solution.gap_series_without_static_part
     static_cutoff = solution.static_above
