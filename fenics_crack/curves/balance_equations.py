@@ -89,15 +89,15 @@ class BalanceEquations(CurveSystem):
         """Raise InputError unless ``value`` is allowed for the curve's parameter.
 
         ``key`` is the name of the value in the error message. Here the value must be above 0.
-        Subclasses may have another rule, which may depend on ``structure``.
+        Subclasses may have another rule, also with ``structure``.
         """
         check_number(key, value, 0.0, excludes_bound=True)
 
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Return the frequency above which modes are quasi-static on the whole curve [rad/s].
 
-        A quasi-static mode follows its load without inertia. The problem has such a cutoff
-        frequency at each parameter value. The result is the larger of those at ``start`` and
+        A quasi-static mode follows the load without inertia. The problem has a cutoff frequency for
+        quasi-static modes at each parameter value. The result is the larger cutoff of ``start`` and
         ``end``.
         """
         return max(self.vary_problem(problem, value).quasi_static_above for value in (start, end))
@@ -139,7 +139,7 @@ class BalanceEquations(CurveSystem):
     def _make_system(self, value: float) -> ContactSystem:
         """Make the harmonic-balance equations at a value of the curve's parameter.
 
-        They are made anew; :meth:`system` keeps the last ones.
+        Each call makes new equations. :meth:`system` keeps the last equations.
         """
         if self.has_varying_integrals:
             return self.problem_at(value).system(self.compliance_model_at(value))
@@ -163,10 +163,7 @@ class BalanceEquations(CurveSystem):
         return self._last_value_and_system[1]
 
     def compliance_model_at(self, value: float) -> ModalCompliance:
-        """Return the dynamic compliance at a parameter value.
-
-        It takes contact forces to gaps at each harmonic.
-        """
+        """Return the dynamic compliance, from contact forces to gaps, at a parameter value."""
         return self._unvaried_compliance_model
 
     def omega(self, value: float, unknown: np.ndarray) -> float:
@@ -175,9 +172,9 @@ class BalanceEquations(CurveSystem):
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
         """Return the unknowns (2H+1, n_pairs) [m] for the coefficients of a solution.
 
-        ``state`` is a row of :attr:`ResponseCurve.points`, usually of this curve: it is then
-        returned unchanged. On a branch with twice the period it may belong to the parent curve. Its
-        motion is then repeated to fill the longer period.
+        ``state`` is a row of :attr:`ResponseCurve.points`, usually of this curve: the row is then
+        returned unchanged. On a branch with twice the period the row may belong to the parent
+        curve. The motion is then repeated to fill the longer period.
         """
         return stretch_period(state, max(1, self.shape[0] // 2 // max(1, len(state) // 2)))
 
@@ -218,10 +215,9 @@ class BalanceEquations(CurveSystem):
     def rounding(self, parameter: float) -> float:
         """Return the rounding error |F| / |x| of the residual F, for unknowns x.
 
-        The error follows from the product of two numbers (:func:`residual_rounding`). One is the
-        largest slope of contact forces over slow gaps, :attr:`max_force_slope`. The other is the
-        largest row sum of the compliance without the residual flexibility. ``parameter`` is the
-        path parameter, 0 to 1.
+        The error follows (:func:`residual_rounding`) from :attr:`max_force_slope` times the largest
+        row sum of the compliance without the residual flexibility. ``parameter`` is the path
+        parameter, 0 to 1.
         """
         if self.compiled_equations is not None:
             max_compliance_row_sum = self.compiled_equations.max_dynamic_row_sum(parameter)

@@ -240,9 +240,9 @@ class GrowingCurve:
         return self.unjudged_curve
 
     def progress_fraction(self) -> float:
-        """Return the fraction of the path from start to end that is done.
+        """Return the completed fraction of the path from start to end.
 
-        It is the path parameter at the last point, limited to the range from 0 to 1.
+        The fraction is the path parameter at the last point, limited to the range from 0 to 1.
         """
         return min(1.0, max(0.0, self._last_path_point.parameter))
 

@@ -104,7 +104,7 @@ def leading_multiplier_in_upper_half(multipliers: np.ndarray) -> complex:
     """Return the Floquet multiplier with the largest modulus, as a single number.
 
     ``multipliers`` (n,) are in descending order of modulus. If the largest has a negative imaginary
-    part, its complex conjugate is returned: both belong to the same pair.
+    part, the complex conjugate of the same pair is returned.
     """
     largest_multiplier = complex(multipliers[0])
     return complex(largest_multiplier.real, abs(largest_multiplier.imag))
@@ -322,7 +322,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @cached_property
     def system(self) -> BalanceEquations | OrbitEquations:
-        """Equations of the curve, for values between its first and its farthest parameter value.
+        """Equations of the curve, from the first to the farthest parameter value.
 
         The farthest value has the largest distance from the first, on either side.
         """
@@ -333,7 +333,7 @@ class ResponseCurve(ObservedMotion, Tabular):
     def with_status(self, status: str) -> ResponseCurve:
         """Return this curve with another status.
 
-        All that was computed from this curve so far is kept, as a status does not change it.
+        The new curve keeps all results computed from this curve so far.
         """
         curve = replace(self, status=status)
         vars(curve).update(
@@ -378,8 +378,8 @@ class ResponseCurve(ObservedMotion, Tabular):
     def _solution_by_index_and_search(self) -> tuple[dict[int, PeriodicSolution], ...]:
         """Caches for the solutions of exact orbits, each by the point's index.
 
-        The first dictionary is for solutions that were computed without a search by harmonic
-        balance, the second for those with a search. A dictionary is empty at first.
+        The first dictionary is for solutions without a search by harmonic balance, the second for
+        solutions with a search. A dictionary is empty at first.
         """
         return {}, {}
 
@@ -421,9 +421,9 @@ class ResponseCurve(ObservedMotion, Tabular):
         )
 
     def assessment(self, index: int) -> Assessment:
-        """Return the assessment of a harmonic-balance point: its error against exact motions.
+        """Return the assessment of a harmonic-balance point by exact motions.
 
-        The exact motions are the predicted one and the nearest orbit. Both are computed on request.
+        The assessment has a predicted error and the nearest exact orbit, both computed on request.
         ``index`` is the index of the point.
         """
         return next(self.assessments([index]))
@@ -473,8 +473,8 @@ class ResponseCurve(ObservedMotion, Tabular):
     def gap_coefficients(self) -> np.ndarray:
         """Fourier coefficients of the normal gaps at every point: (n, 2H+1, n_pairs) [m].
 
-        For exact orbits, H is 40. Their coefficients come from quadrature of the exact motion. For
-        harmonic-balance points H is the curve's.
+        For exact orbits, H is 40, and the coefficients come from quadrature of the exact motion.
+        For harmonic-balance points H is the curve's.
         """
         n_pairs, indices = self.structure.n_pairs, range(len(self))
         if self.exact:
@@ -565,11 +565,11 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def max_missed_window_width(self) -> float:
-        """Widest parameter interval of instability that a curve of exact orbits may miss.
+        """Widest unstable parameter interval between the points of a curve of exact orbits.
 
         Between two neighbouring points, orbits may become unstable or double their period, and
-        return. Such an interval goes unnoticed if it is narrow. The width is a tenth of the longest
-        step in ``values``, in the same unit.
+        return. A narrow interval goes unnoticed. The width is a tenth of the longest step in
+        ``values``, in the same unit.
         """
         return MAX_MISSED_WINDOW_TO_STEP_RATIO * float(
             np.abs(np.diff(self.values)).max(initial=0.0)

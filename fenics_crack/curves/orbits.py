@@ -66,7 +66,7 @@ class OrbitEquations(CurveSystem):
     z is the state of modal displacements and velocities, T the orbit's period of ``subharmonic``
     load periods, and p the path parameter, 0 to 1. The unknowns x are the scaled state z(0) less
     the rest state. ``balance_class`` is the class with harmonic-balance equations along the same
-    parameter. It serves here to vary the problem.
+    parameter. Only the class's change of the problem is used here.
 
     Raises
     ------
@@ -278,7 +278,7 @@ class OrbitEquations(CurveSystem):
     def rounding(self, parameter: float) -> float:
         """Return the rounding error |F| / |x| of the residual F, for unknowns x.
 
-        It is 1e-12 at any ``parameter``.
+        The error is 1e-12 at any ``parameter``.
         """
         return ROUNDING
 

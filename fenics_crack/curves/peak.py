@@ -238,7 +238,7 @@ def _first_index_below_half_power(
     """Return the index of the first point below half power, on one side of the peak.
 
     Below half power, the amplitude is less than 1/sqrt(2) times the peak's amplitude. If the curve
-    ends or turns back before such a point, the last index before that is returned.
+    ends or turns back first, the last index before the turn is returned.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def _first_index_below_half_power(
     peak_index : int
         Index of the largest amplitude.
     search_direction : -1 or 1
-        -1: search the points before the peak. 1: search the points after it.
+        -1: search the points before the peak. 1: search the points after the peak.
     """
     point_index, last_parameter_change = peak_index, 0.0
     half_power_amplitude = amplitudes[peak_index] / math.sqrt(2.0)

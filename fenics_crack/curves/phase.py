@@ -77,7 +77,7 @@ class ExcitingHarmonic:
     def complex_work_omega_derivative(self, point: ContactPoint) -> complex:
         """Return the derivative of the load's complex work by the load frequency [N m s].
 
-        ``point`` has the linearised equations of harmonic balance. Its contact forces are held
+        ``point`` has the linearised equations of harmonic balance. Contact forces are held
         constant.
         """
         return self._complex_work_of(
@@ -105,8 +105,8 @@ class ExcitingHarmonic:
 def modal_compliance_of(point: ContactPoint) -> ModalCompliance:
     """Return the compliance by all modes in the equations linearised at a point.
 
-    It takes contact forces to displacements and gaps. ``point`` has the linearised equations of
-    harmonic balance.
+    The compliance takes contact forces to displacements and gaps. ``point`` has the linearised
+    equations of harmonic balance.
     """
     assert isinstance(point.system.compliance_model, ModalCompliance)
     return point.system.compliance_model
@@ -234,8 +234,8 @@ class PhasePoint(Linearisation):
     def half_power_width(self) -> float:
         """Return the half-power width D of a single mode with this response [rad/s].
 
-        D = -2 / Im(d ln P / dw), with the load's complex work P and the load frequency w. It is the
-        width of the resonance peak at 1/sqrt(2) of its amplitude.
+        D = -2 / Im(d ln P / dw), with the load's complex work P and the load frequency w. The
+        half-power width is measured at 1/sqrt(2) of a peak's amplitude.
         """
         return -2.0 / (self.complex_work_derivative_by_frequency / self.complex_work).imag
 

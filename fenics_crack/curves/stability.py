@@ -551,7 +551,7 @@ def _stability_by_linear_flow(
     """Return the stability of a solution by the multipliers of its linear flow.
 
     The linear flow is the motion of small disturbances, with contact linearised along the solution.
-    Used for smooth laws without an exact flow. The largest modulus of the multipliers decides. Its
+    Used for smooth laws without an exact flow. The largest modulus of the multipliers decides; the
     uncertainty is the change with twice the harmonics. The verdict is "undecided" if the modulus is
     1 within this uncertainty, or if the solution's truncation error is unknown or above 0.05.
 

@@ -84,15 +84,15 @@ class BudgetError(ConvergenceError):
 def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """Return the exact flow of a structure and a contact law, or None.
 
-    The flow integrates a motion to rounding, from contact event to contact event. There is none in
-    three cases:
+    The flow integrates a motion to rounding, from contact event to contact event. None is returned
+    in three cases:
 
-    - The law is smooth, so its force is not piecewise linear.
+    - The law is smooth, not piecewise linear.
     - The structure is large. A small one has at most 600 dofs on one rank, or is reduced to modes
       and massless faces.
-    - Some contact has no spring (rigid contact, or sticking without tangential springs), and
-      contact forces are not unique. The residual flexibility, the gaps' static response to contact
-      forces on massless coordinates, is then singular. An example: crack faces with mass.
+    - Contact without springs (rigid contact, or sticking without tangential springs) has no unique
+      contact forces. The residual flexibility, the gaps' static response to contact forces on
+      massless coordinates, is then singular. An example: crack faces with mass.
     """
     return (
         ContactFlow(structure, contact)
@@ -160,7 +160,7 @@ class ModalFlow:
     the slider position h of each pair. h is the tangential gap less the tangential spring's
     deformation, constant while a pair sticks. Contact rows are the pairs' normal gaps; with
     friction tangential gaps follow (n_rows = 2 n_pairs, else n_pairs). Under the layered law the
-    normal gaps come twice: those to the layers, then those to the contact below the layers.
+    normal gaps come twice: to the layers, then to the contact below the layers.
 
     Attributes
     ----------
@@ -356,17 +356,17 @@ class ContactFlow(ModalFlow):
     def critical_friction_coefficient(self) -> float:
         """Return the smallest friction coefficient mu without unique contact forces.
 
-        Used to warn of a larger coefficient: the motion may then not be determined. The search
-        tries 400 random combinations of pair states: open, sticking, or slipping in one of two
-        directions. A combination has a matrix A(mu) from contact forces to gaps, with the rows of
-        ``compliance`` for closed pairs' normal gaps and stuck pairs' tangential gaps. Let D_rows be
-        these rows:
+        Used to warn of a larger coefficient: the motion may then have no unique continuation. The
+        search tries 400 random combinations of pair states: open, sticking, or slipping in either
+        of two directions. A combination has a matrix A(mu) from contact forces to gaps, with the
+        rows of ``compliance`` for closed pairs' normal gaps and stuck pairs' tangential gaps.
+        D_rows has the rows:
 
             A = D_rows (E_0 + mu E_1).
 
         E_0 places the forces in all rows, and E_1 adds slipping pairs' friction. A is singular at
         mu = -1 / e, with a real negative eigenvalue e of (D_rows E_0)^-1 D_rows E_1. The result is
-        inf if no combination has such an eigenvalue.
+        inf if no combination has a real negative e.
         """
         n_pairs, critical_coefficients = self.structure.n_pairs, [np.inf]
         for trial_pair_states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
@@ -441,8 +441,8 @@ class ContactFlow(ModalFlow):
     def estimate_taylor_pieces(self, duration: float) -> float:
         """Return the number of Taylor pieces in a motion of ``duration`` [s] without events.
 
-        A piece is an interval with a single Taylor series. It ends when the fastest mode has turned
-        by 10 rad. This mode's rate is an upper bound that holds for any set of closed pairs.
+        A piece is an interval with a single Taylor series. A piece ends when the fastest mode has
+        turned by 10 rad. The mode's rate is an upper bound for any set of closed pairs.
         """
         return float(self.mode_rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 
@@ -451,8 +451,8 @@ class ContactFlow(ModalFlow):
 
         A modal displacement has the weight max(w_j, ``base_omega``), with the mode's frequency w_j
         [rad/s] and the response's lowest frequency ``base_omega`` [rad/s]. A modal velocity has the
-        weight 1. With friction, each slider position has the square root of its contact's stiffness
-        if no other pair sticks.
+        weight 1. With friction, each slider position has the square root of the pair's stiffness
+        while all pairs but this slip.
         """
         energy_weights = np.ones(self.state_size)
         np.sqrt(
@@ -469,7 +469,7 @@ class ContactFlow(ModalFlow):
         This norm measures states by displacement rather than energy. A modal displacement has the
         weight 1. A modal velocity has the weight 1 / max(w_j, ``base_omega``), with the mode's
         frequency w_j [rad/s] and the response's lowest frequency ``base_omega`` [rad/s]. With
-        friction, a slider position has its weight in the energy norm, divided by max(w_1,
+        friction, a slider position has the energy norm's weight, divided by max(w_1,
         ``base_omega``).
         """
         weights = self.energy_weights(base_omega)
@@ -580,11 +580,11 @@ class ContactFlow(ModalFlow):
     ) -> tuple[Struct, Callable[[int], dict[str, np.ndarray]]]:
         """Return the kernel's struct ``flow_motion``, and a function to copy the track.
 
-        The kernel writes the states of the pairs between events, the track, into buffers that all
-        motions share. The copying function saves a track from the next motion. It takes the number
-        of intervals between events, and returns a dictionary of :class:`Track` arrays by name.
-        ``budget`` limits the integration (None: the default limits). ``members`` are further fields
-        of the struct by name.
+        The kernel writes the states of the pairs between events, the track, into buffers for all
+        motions. The copying function saves a track from the next motion. The function takes the
+        number of intervals between events, and returns a dictionary of :class:`Track` arrays by
+        name. ``budget`` limits the integration (None: the default limits). ``members`` are further
+        fields of the struct by name.
         """
         budget = budget or Budget()
         if self._track_buffer_length < budget.allowed_event_intervals:
@@ -648,9 +648,9 @@ class Track:
     ratios: np.ndarray | None = None
 
     def mean_time_share_of_pairs(self, is_selected: np.ndarray) -> float:
-        """Return the fraction of time for which a pair is selected, as a mean over all pairs.
+        """Return the fraction of time with a pair selected, as a mean over all pairs.
 
-        ``is_selected`` (n, n_pairs) is True where a pair is selected, such as in contact, in each
+        ``is_selected`` (n, n_pairs) is True for selected pairs, for example closed pairs, in each
         of the n intervals between events.
         """
         return float(self.lengths @ is_selected.mean(axis=1) / self.lengths.sum())
@@ -782,9 +782,9 @@ class Samples:
 
     @property
     def is_closed(self) -> np.ndarray:
-        """Return where pairs are in contact: (n, flow.n_normal_rows) bool, a row for each instant.
+        """Return True for pairs in contact, at each instant: (n, flow.n_normal_rows) bool.
 
-        Under the layered law a pair has two columns: for its layer, and for the contact below the
+        Under the layered law a pair has two columns: for the layer, and for the contact below the
         layer.
         """
         return self.pair_states > 0
@@ -794,7 +794,7 @@ class Samples:
         """Return the contact forces at each instant: (n, n_rows) [N].
 
         Normal forces come first; with friction tangential forces follow. Under the layered law a
-        pair has two normal forces: in its layer, and below the layer.
+        pair has two normal forces: in the layer, and below the layer.
         """
         if self.flow.friction_law:
             return self.forces_and_openings[:, : len(self.flow.softness)]
@@ -805,7 +805,7 @@ class Samples:
         """Return the gaps at each instant, positive for penetration: (n, n_rows) [m].
 
         Normal gaps come first; with friction tangential gaps follow. Under the layered law a pair
-        has two normal gaps: to its layer, and to the contact below the layer.
+        has two normal gaps: to the layer, and to the contact below the layer.
         """
         spring_deformations = self.contact_row_forces * self.flow.softness
         if self.flow.friction_law:

@@ -1,4 +1,4 @@
-"""Observed motions: each kind yields a :class:`MotionRecord`, from which all numbers follow.
+"""Observed motions: each kind yields a :class:`MotionRecord` for all numbers.
 
 Motions are harmonic-balance solutions, exact orbits, time histories, and curves. Each has one
 method, ``yield_records_of_row_products``. It multiplies the displacement by given rows, and adds
@@ -328,8 +328,8 @@ class DisplacementHarmonics:
     def ratio(self, multiple: float) -> float:
         """Return the ratio U_j / U_1, with j = ``multiple``.
 
-        U_1 is the amplitude at the load's frequency, U_j the one at j times this frequency. The
-        result is nan if the motion lacks one of them.
+        U_1 is the amplitude at the load's frequency, U_j at j times this frequency. The result is
+        nan if the motion lacks U_j or U_1.
         """
         return self.amplitude_at_load_multiple(multiple) / self.amplitude_at_load_frequency
 
@@ -446,8 +446,8 @@ class ExtraRows(NamedTuple):
     rows : (m, n_local)
         Factors: each row times the displacement u is an observed displacement.
     read_numbers : callable
-        Function from a :class:`MotionRecord` of the m observed displacements to a dict by name. Its
-        entries are numbers such as stress intensities.
+        Function from a :class:`MotionRecord` of the m observed displacements to a dict of numbers.
+        An example of a number is a stress intensity.
     """
 
     rows: np.ndarray
@@ -478,7 +478,7 @@ class IndicatorsAndCoefficients(NamedTuple):
 class ObservedMotion:
     """Base of all motions: solutions, orbits, time histories and curves.
 
-    Numbers such as crack indicators come from a :class:`MotionRecord`, which has observed
+    Numbers like crack indicators come from a :class:`MotionRecord`. A record has observed
     displacements, gaps and contact forces at instants. A subclass defines
     :meth:`yield_records_of_row_products` to make the record.
     """
@@ -659,10 +659,10 @@ class ObservedMotion:
         }
 
     def _join_curve_point_values(self, values: list[Any]) -> Any:
-        """Return the only entry of ``values``, a list with one entry for each record.
+        """Return the only entry of ``values``, a list with an entry for each record.
 
-        Most motions have a single record. A curve has one for each point: it overrides this method
-        to return an array over the points.
+        Most motions have a single record. A curve has a record for each point, and overrides this
+        method to return an array over the points.
         """
         [only_record_value] = values
         return only_record_value

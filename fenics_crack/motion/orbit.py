@@ -934,9 +934,8 @@ class _NewtonOrbitSearch:
 
         Each Newton step is multiplied by a damping factor d, at most 1. The simplified step is the
         next Newton step, computed with the same monodromy matrix M. The damped step is accepted if
-        |simplified step| <= (1 - d / 4) |step|. Otherwise M is computed anew if it is an old one;
-        else d is reduced. The next d follows from |simplified step - (1 - d) step|, which is 0 for
-        a linear flow.
+        |simplified step| <= (1 - d / 4) |step|. Otherwise an old M is computed anew, or d is
+        reduced. The next d follows from |simplified step - (1 - d) step|, 0 for a linear flow.
 
         Parameters
         ----------

@@ -225,8 +225,8 @@ class _SearchTask:
     def orbit_equations(self) -> FlowOrbitEquations:
         """Return the equations z(T) = z(0) of an orbit: the state z returns after the period T.
 
-        Their start is the state at phase zero of the last guess that was tried. Without guesses the
-        start is the zero state.
+        The start is the last tried guess's state at phase zero. Without guesses the start is the
+        zero state.
         """
         start_state = (
             self.tried_states[-1][0] if self.tried_states else np.zeros(self.flow.state_size)
@@ -464,7 +464,7 @@ def yield_states_after_periods(
 ) -> Iterator[np.ndarray]:
     """Yield a motion's state, in the scaled unknowns of ``orbit_equations``, after each period.
 
-    The motion starts at ``scaled_state``. It ends after ``max_periods`` periods, after 200
+    The motion starts at ``scaled_state``, and ends after ``max_periods`` periods, after 200
     ``max_periods`` Taylor pieces, or if integration fails. A piece is an interval with a single
     Taylor series.
     """

@@ -77,8 +77,8 @@ class OrbitPoint(DenseLinearisation):
     def record(self) -> np.ndarray:
         """Return the monodromy matrix (n, n), stored with this point of a path.
 
-        Its eigenvalues are Floquet multipliers. A step of the path is rejected if they change too
-        much.
+        The eigenvalues are Floquet multipliers. A step of the path is rejected if multipliers
+        change too much.
         """
         return self.monodromy
 

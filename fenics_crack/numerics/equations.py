@@ -54,8 +54,8 @@ estimate: 6e-6. Equations with a larger rounding error are refused."""
 def residual_rounding(residual_slope: float) -> float:
     """Return the rounding error of a relative residual |F| / |x|.
 
-    The result is machine epsilon times ``residual_slope``, the largest |dF| / |dx|. It is at least
-    ``ROUNDING`` (1e-12) and at most ``COARSE_TOLERANCE`` (6e-6).
+    The result is machine epsilon times ``residual_slope``, the largest |dF| / |dx|. The minimum is
+    ``ROUNDING`` (1e-12), the maximum ``COARSE_TOLERANCE`` (6e-6).
     """
     return max(ROUNDING, min(COARSE_TOLERANCE, MACHINE_EPSILON * residual_slope))
 
@@ -86,12 +86,11 @@ class Linearisation(ABC):
 
     @property
     def record(self) -> np.ndarray:
-        """Return numbers that are stored with this point of a path: (n_record_entries,).
+        """Return the numbers stored with this point of a path: (n_record_entries,).
 
-        Used to reject path steps that are too long
-        (:class:`fenics_crack.numerics.path.StepRejectionRule`). The system's method
-        ``step_control_values`` computes the rule's input from the records of several points. Only
-        systems for paths with such a rule implement the property.
+        Used to reject steps as too long (:class:`fenics_crack.numerics.path.StepRejectionRule`).
+        The system's method ``step_control_values`` computes the rule's input from the records of
+        several points. Only systems for paths with this rule implement the property.
         """
         raise NotImplementedError
 
@@ -107,13 +106,12 @@ class System(Protocol):
     The unknowns are the same on every MPI rank. A system may have further attributes:
 
     - ``compiled_equations``: the same equations for the kernel, an :class:`Equations`, or None.
-    - ``angle_weights``: factor for each unknown in the inner product that gives the angle between
-      two tangents.
-    - ``n_time_means``: number of unknowns that are means over time. These unknowns come first.
+    - ``angle_weights``: factor for each unknown in inner products for angles between tangents.
+    - ``n_time_means``: number of leading unknowns that are means over time.
     - ``n_record_entries``: number of entries in :attr:`Linearisation.record`, an array of numbers
       stored at each point of a path.
-    - ``step_control_values(records)``: values (n, ...) by which steps are rejected as too long,
-      computed from the records (n, n_record_entries) of n points.
+    - ``step_control_values(records)``: values (n, ...) to recognise steps as too long, computed
+      from the records (n, n_record_entries) of n points.
     - ``rounding(p)``: rounding error of |F| / |x| at the parameter p.
     """
 
@@ -141,7 +139,7 @@ class DenseLinearisation(Linearisation):
     def _factors(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the LU factors (n, n) and pivots (n,) of :meth:`matrix_to_factorise`.
 
-        They are computed by :func:`factorise_transpose` on first request, and kept.
+        :func:`factorise_transpose` computes both on first request.
         """
         return factorise_transpose(self.matrix_to_factorise())
 
@@ -205,8 +203,8 @@ class Equations(ABC):
     def compiled_equations(self) -> Equations | None:
         """Return this object.
 
-        A :class:`System` has an attribute with this name for its equations in the kernel. This
-        object is already in that form.
+        A :class:`System` has an attribute with this name for the equations in the kernel. This
+        object already has this form.
         """
         return self
 
@@ -222,8 +220,8 @@ class Equations(ABC):
         """Call a C function on the equations, and return its outcome code.
 
         ``loop`` is the C function, called with ``function_table`` and then ``arguments``. The
-        outcome code tells success or the kind of failure. It is not checked here: pass it to
-        :meth:`has_found_solution`.
+        outcome code tells success or the kind of failure. The code is not checked here: pass the
+        code to :meth:`has_found_solution`.
         """
         self._last_linearisation_reference = None
         return int(loop(self.function_table, *arguments))
@@ -308,10 +306,10 @@ class _PythonCallbackState:
 def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator to make a Python function a C callback of the kernel.
 
-    The function ``_solve``, for example, becomes the callback ``python_solve``. Its first argument
+    The function ``_solve``, for example, becomes the callback ``python_solve``. The first argument
     is the :class:`_PythonCallbackState` of the system. An exception must not pass through C: the
     callback stores the exception in this state, and returns ``failure_value``. Until the exception
-    is raised, all later callbacks return their failure values, too.
+    is raised, later callbacks return failure values, too.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -337,8 +335,8 @@ def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Calla
 def _evaluate(state: _PythonCallbackState, unknown: Any, parameter: float) -> int:
     """Linearise the system at unknowns x and a parameter p; return ``kernel.FOUND``.
 
-    The linearisation is stored in ``state``, where the other callbacks find it. ``unknown`` is the
-    C pointer to x.
+    The linearisation is stored in ``state``, for the callbacks after this one. ``unknown`` is the C
+    pointer to x.
     """
     state.linearisation = state.system.linearise(state.as_array(unknown).copy(), parameter)
     return int(kernel.FOUND)

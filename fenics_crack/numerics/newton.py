@@ -163,7 +163,7 @@ class Snes(ABC):
     def _set_linear_solver_type(self, linear_solver: Any) -> None:
         """Set defaults for the linear solver of Newton steps, a PETSc KSP.
 
-        PETSc options override these defaults.
+        PETSc options override the defaults.
         """
 
     @abstractmethod
@@ -306,8 +306,8 @@ class SystemSnes(Snes):
     def mult(self, matrix: Any, factor_vector: Any, product_vector: Any) -> None:
         """Write the product J v to ``product_vector``, with v in ``factor_vector``.
 
-        J is the Jacobian at the current unknowns. PETSc calls this method for a matrix that is not
-        formed; ``matrix`` is not used.
+        J is the Jacobian at the current unknowns. PETSc calls this method for a matrix without
+        entries; ``matrix`` is not used.
         """
         product_vector.array_w[:] = self._linearisation.apply(
             factor_vector.array_r.reshape(self.system.shape)
@@ -316,8 +316,8 @@ class SystemSnes(Snes):
     def apply(self, preconditioner: Any, right_side_vector: Any, solution_vector: Any) -> None:
         """Write the solution J^-1 r to ``solution_vector``, with r in ``right_side_vector``.
 
-        J is the Jacobian at the current unknowns. PETSc calls this method as its preconditioner,
-        the approximate inverse of J. The argument ``preconditioner`` is not used.
+        J is the Jacobian at the current unknowns. PETSc calls this method as a preconditioner; the
+        argument ``preconditioner`` is not used.
         """
         solution_vector.array_w[:] = self._linearisation.solve(
             right_side_vector.array_r.reshape(self.system.shape)
@@ -365,7 +365,7 @@ class Tangent:
         """Return w <x, y>, the inner product of two vectors of unknowns in the tangent's norm.
 
         x is ``vector``, y is ``other_vector``, and w is ``unknowns_weight``. Products of means over
-        time are multiplied by ``time_mean_weight``. ``system`` tells which unknowns are means.
+        time are multiplied by ``time_mean_weight``. ``system`` tells the number of means.
         """
         if self.time_mean_weight == 1.0:
             return self.unknowns_weight * float(np.vdot(vector, other_vector))
@@ -381,7 +381,7 @@ class Tangent:
     def cosine_to(self, reference_tangent: Tangent, system: System) -> float:
         """Return the cosine of the angle to a unit reference tangent, in the reference's norm.
 
-        This tangent may have any length. If its length is 0 or overflows, the result is 0.
+        This tangent may have any length. If the length is 0 or overflows, the result is 0.
         """
         product = (
             reference_tangent.inner_product(system, self.x, reference_tangent.x)
@@ -426,7 +426,7 @@ def motion_size_squared(oscillation_norm_squared: float, mean_norm_squared: floa
 
     With the oscillation's sum of squares o and the means' sum of squares m, the result is o +
     min(m, o). So a large mean does not hide a small oscillation. If o < 1.8e-12 m, the oscillation
-    is rounding error, and the result is o + m. It is at least 1e-300.
+    is rounding error, and the result is o + m. The minimum is 1e-300.
 
     Parameters
     ----------
@@ -511,9 +511,9 @@ def tangent_of(
 ) -> Tangent:
     """Return the unit tangent of the path at a solution x.
 
-    ``unknown`` is x, and ``linearisation`` has the derivatives there. Of the two directions along
-    the path, the tangent has the one with a positive cosine to ``direction``. If ``direction`` is
-    None, the parameter p grows along the tangent.
+    ``unknown`` is x, and ``linearisation`` has the derivatives at x. A path has two directions: the
+    tangent has a positive cosine to ``direction``. If ``direction`` is None, the parameter p grows
+    along the tangent.
     """
     unknowns_derivative_by_parameter = -linearisation.solve(linearisation.by_parameter)
     slope_tangent = Tangent(
@@ -537,9 +537,8 @@ def point_on_path(
 ) -> PathPoint:
     """Make a point of a path from a solution (x, p), with the path's tangent.
 
-    ``unknown`` is x, and ``parameter`` is p. Of the two directions along the path, the tangent has
-    the one with a positive cosine to ``direction``. If ``direction`` is None, p grows along the
-    tangent.
+    ``unknown`` is x, and ``parameter`` is p. A path has two directions: the tangent has a positive
+    cosine to ``direction``. If ``direction`` is None, p grows along the tangent.
     """
     linearisation = system.linearise(unknown, parameter)
     return PathPoint(unknown, parameter, 0, tangent_of(system, unknown, linearisation, direction))
@@ -651,8 +650,8 @@ def predict_and_correct(
     """Return the point of a path after a step from a start; None if Newton's method fails.
 
     The prediction lies at the distance ``step_length`` on the start's tangent. Newton's method
-    corrects it in the plane orthogonal to this tangent, until |F| / |x| <= ``tolerance``. The
-    returned point has the start's tangent, not its own. ``max_parameter_change`` limits the
+    corrects the prediction in the plane orthogonal to this tangent, until |F| / |x| <=
+    ``tolerance``. The returned point has the start's tangent. ``max_parameter_change`` limits the
     distance between corrected and predicted parameter; default: 3 ``step_length``.
     """
     tangent = start_point.tangent
@@ -675,7 +674,7 @@ def try_step(
     """Return the point of a path after a step from a start, with the tangent there.
 
     ``step_length`` is measured along the start's tangent. At the new point |F| / |x| <=
-    ``tolerance``, and its tangent has a positive cosine to the start's. The result is None if
+    ``tolerance``. The new tangent has a positive cosine to the start's. The result is None if
     Newton's method fails.
     """
     corrected_point = predict_and_correct(system, start_point, step_length, tolerance)

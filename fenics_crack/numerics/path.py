@@ -292,7 +292,7 @@ class Event(ABC):
         """Locate the event between two neighbouring points, to |F| / |x| <= ``rtol``.
 
         ``ends`` has the two points, and F(x, p) = 0 are the equations of ``system``. The result is
-        None if there is no event between them, or if the search fails.
+        None without an event between the points, or if the search fails.
         """
 
 
@@ -337,7 +337,7 @@ def _sign_of_tangent_part_times_determinant(system: System, point: PathPoint) ->
 
 
 class ZeroCrossing(Event):
-    """Point of a path at which a given function f(point) changes its sign.
+    """Event at a sign change of a given function f(point).
 
     :func:`find_zero_point_and_function_value` locates the zero.
     """
@@ -589,15 +589,15 @@ def _find_fold_or_target(
 class StepRejectionRule(ABC):
     """Rule to reject steps of a path as too long.
 
-    The rule compares ``step_control_values`` of neighbouring points. The system computes these
-    values, such as Floquet multipliers.
+    The rule compares ``step_control_values`` of neighbouring points. The system computes the
+    values, for example Floquet multipliers.
     """
 
     @abstractmethod
     def mark_rejected_steps(
         self, segment: ConsecutivePathPoints, first_index: int = 0
     ) -> np.ndarray:
-        """Mark the steps that are too long by True: (n-1-first_index,) bool.
+        """Mark steps as too long by True: (n-1-first_index,) bool.
 
         ``segment`` has n points, with n-1 steps between them. Steps before the point
         ``first_index`` are not judged, and have no entry in the result.
@@ -605,10 +605,10 @@ class StepRejectionRule(ABC):
 
 
 def step_control_values_or_none(system: System, linearisation: Linearisation) -> np.ndarray | None:
-    """Return a point's values for the rule that rejects steps; None if the system has none.
+    """Return a point's values for a :class:`StepRejectionRule`, or None.
 
-    The system computes the values from the :attr:`Linearisation.record` of ``linearisation``, the
-    equations linearised at the point.
+    None: the system has no values. Otherwise the system computes the values from the
+    :attr:`Linearisation.record` of ``linearisation``, the equations linearised at the point.
     """
     values_function_or_none = getattr(system, "step_control_values", None)
     return (
@@ -784,7 +784,7 @@ class Path:
     # --- its steps --------------------------------------------------------------------------------
 
     def _with_record_and_step_control_values(self, point: PathPoint) -> PathPoint:
-        """Return a point with the numbers by which the step control rejects steps.
+        """Return a point with the numbers for the step control.
 
         The numbers are ``record`` and ``step_control_values`` from the system. Without a step
         control the point is returned unchanged.

@@ -126,9 +126,9 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
 def _contact_stiffnesses(structure: Structure, contact: ContactLaw) -> np.ndarray:
     """Return the stiffness of the contact spring for each contact force: (n_rows,) [N/m].
 
-    Each pair's normal stiffness comes first; with friction the tangential stiffnesses follow. The
-    result is 0 for UnilateralConstraint, which has no spring. InputError if a friction law lacks a
-    normal or tangential spring.
+    Each pair's normal stiffness comes first; with friction the tangential stiffnesses follow.
+    UnilateralConstraint has no spring: the result is 0. InputError if a friction law lacks a normal
+    or tangential spring.
     """
     softness = spring_compliances(contact, structure.n_pairs)
     if friction_of(contact) is not None and not np.all(softness):
@@ -412,8 +412,8 @@ class _ModalDifferences(Scheme):
         """Return contact forces (n_rows,) [N] from gaps (n_rows,) [m] by the penalty law.
 
         Normal gaps come first; with friction tangential gaps follow, and the forces have the same
-        order. Friction forces also depend on the tangential gaps at which pairs stick. This call
-        does not change these gaps.
+        order. Friction forces also depend on the sticking places, tangential gaps of sticking
+        pairs. This call does not change the sticking places.
         """
         if friction_of(self._request.contact) is None:
             return self._request.row_law.force(gap)
@@ -594,8 +594,8 @@ class _CentralDifferences(Scheme):
         """Return contact forces (n_rows,) [N] from gaps (n_rows,) [m] by the penalty law.
 
         Normal gaps come first; with friction tangential gaps follow, and the forces have the same
-        order. Friction forces also depend on the tangential gaps at which pairs stick. This call
-        updates these gaps.
+        order. Friction forces also depend on the sticking places, tangential gaps of sticking
+        pairs. This call updates the sticking places.
         """
         if friction_of(self.contact) is None:
             return self._row_law.force(gap)
@@ -608,7 +608,7 @@ class _CentralDifferences(Scheme):
     def _gap_change(self, displacement: np.ndarray) -> np.ndarray:
         """Return the gaps' change by a displacement u: (n_rows,) [m].
 
-        The change is B^T u, where the matrix B takes contact forces to forces on the dofs.
+        The change is B^T u. The matrix B takes contact forces to forces on the dofs.
         ``displacement`` (n_local,) [m] is this rank's part of u; the result is summed over ranks.
         """
         return self.structure.sum_over_ranks(
@@ -628,8 +628,8 @@ class _CentralDifferences(Scheme):
     ) -> np.ndarray:
         """Apply a PETSc operator to a vector (n_local,) and return the result (n_local,).
 
-        ``operator`` takes two PETSc vectors: it reads the first and writes the second. Examples are
-        the product with a matrix, and the solution by its factors.
+        ``operator`` takes two PETSc vectors: the first is read, the second written. Examples are
+        the product with a matrix, and the solution by factors of a matrix.
         """
         self._input_vector.array_w[:] = vector
         operator(self._input_vector, self._output_vector)
@@ -692,8 +692,8 @@ class _CentralDifferences(Scheme):
         """Return the nearest displacement without penetration: (n_local,) [m].
 
         Used for the start under UnilateralConstraint. The change d of the given ``displacement``
-        has the smallest d^T M d, with the mass matrix M. Under a penalty law the given displacement
-        is returned. It is also returned if it has no penetration.
+        has the smallest d^T M d, with the mass matrix M. The given displacement is returned under a
+        penalty law, or if no pair penetrates.
         """
         gap = self._gap_of(displacement)
         if not self.is_rigid or not np.any(gap > 0.0):

@@ -195,8 +195,8 @@ def _comparison_weights_of_loaded_dofs(request: MarchRequest) -> np.ndarray:
     """Return a factor for each loaded dof or modal coordinate: (n_loaded,).
 
     Used to compare the motion at the load from period to period: each displacement is multiplied by
-    its factor first. With massless crack faces the coordinates are modal. The factor is then the
-    norm of the coordinate's load coefficients over all harmonics. Otherwise it is 1.
+    a factor first. With massless crack faces the coordinates are modal. The factor is then the norm
+    of the coordinate's load coefficients over all harmonics. For displacements the factor is 1.
     """
     if not request.structure.has_massless_crack_faces:
         return np.ones(len(request.loaded_dofs))
@@ -218,7 +218,7 @@ def _displacement_and_velocity(
         Displacement, returned unchanged.
     state : (state_size,)
         State of the flow at the same instant: modal displacements, modal velocities, and with
-        friction the tangential gaps at which pairs stick.
+        friction the sticking places.
     """
     _, modal_velocity, sticking_places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
     velocity = flow.modal_model.shapes @ modal_velocity

@@ -165,9 +165,9 @@ class MarchRequest:
 
     @cached_property
     def recorded_dofs(self) -> np.ndarray:
-        """Global numbers of the dofs that this rank records: (n_recorded,) int.
+        """Global numbers of the dofs recorded by this rank: (n_recorded,) int.
 
-        If the structure is reduced, all its coordinates on this rank are recorded instead.
+        Coordinates of a reduced structure are all recorded.
         """
         first_dof = self.structure.first_dof
         end_dof = first_dof + self.structure.n_local
@@ -200,10 +200,10 @@ class MarchRequest:
 
     @property
     def n_gap_rows(self) -> int:
-        """Number of gaps, one for each contact force.
+        """Number of scalar gaps, equal to the number of scalar contact forces.
 
-        A pair has one gap, the normal gap. With friction it has two: normal and tangential. Under
-        the layered law it has two as well: to the layer, and to the contact below the layer.
+        A pair has a normal gap, with friction also a tangential gap. Under the layered law a pair
+        has two normal gaps: to the layer, and to the contact below the layer.
         """
         return self.structure.n_pairs * count_rows_per_pair(self.contact)
 
@@ -212,7 +212,7 @@ class MarchRequest:
         """Contact law for all gaps, with an entry for each of the ``n_gap_rows`` gaps.
 
         Under the layered law each pair has two gaps. The result is then a penalty law with a
-        stiffness for each of the two. Otherwise it is ``contact``.
+        stiffness for each of the two. Otherwise the result is ``contact``.
         """
         return law_of_rows(self.contact, self.structure.n_pairs)
 
@@ -318,8 +318,8 @@ class TimeHistory(ObservedMotion, Tabular):
         kept.
 
         The steady motion is extrapolated from the last four periods (minimal polynomial
-        extrapolation; Sidi, Vector Extrapolation Methods, chapter 2). The estimate is exact if what
-        remains of the transient is two decaying Floquet modes.
+        extrapolation; Sidi, Vector Extrapolation Methods, chapter 2). The estimate is exact if the
+        rest of the transient is two decaying Floquet modes.
         """
         last_periods_of_watched_arrays = [
             watched_array[-N_RECORDED_PERIODS_OF_INTEGRATION:]
@@ -419,8 +419,8 @@ class TimeHistory(ObservedMotion, Tabular):
         """Yield a single :class:`MotionRecord`: displacements, gaps and forces (collective).
 
         An observed displacement is a row in ``rows`` (m, n_local) times the displacement
-        (n_local,). The record covers all kept load periods. Its Fourier coefficients are for the
-        last period, up to harmonic 10, or (steps_per_period - 1) // 2 if that is less.
+        (n_local,). The record covers all kept load periods. Fourier coefficients are for the last
+        period, up to harmonic 10, or (steps_per_period - 1) // 2 if less.
 
         Raises
         ------
@@ -462,9 +462,9 @@ class TimeHistory(ObservedMotion, Tabular):
 class PeriodWindow(NamedTuple):
     """Arrays for a single load period, filled by :meth:`Scheme.integrate_and_fill_period`.
 
-    Each row belongs to one of the N instants. ``gap`` [m] and contact ``force`` [N] are (N,
-    n_rows), with a column for each contact force: normal forces, with friction then tangential
-    forces. Under the layered law each pair has two normal forces
+    Rows are the N instants. ``gap`` [m] and contact ``force`` [N] are (N, n_rows), with a column
+    for each contact force: normal forces, with friction then tangential forces. Under the layered
+    law each pair has two normal forces
     (:func:`fenics_crack.model.contact.add_pair_for_each_contact_force`).
     """
 
@@ -506,7 +506,7 @@ class Scheme(ABC):
     def set_created_energy_ratio(self, created_energy: float, energy_input: float) -> None:
         """Set ``created_energy_ratio`` to ``created_energy`` divided by ``energy_input``.
 
-        The ratio stays as it is if ``energy_input`` is not positive. Both energies [J] are summed
+        Unless ``energy_input`` is positive, the ratio is not changed. Both energies [J] are summed
         since time 0. ``created_energy`` comes from errors of the scheme, and ``energy_input`` from
         the load and the initial state. ConvergenceError if ``created_energy`` is not finite, or
         exceeds twice a positive ``energy_input``.
@@ -619,8 +619,8 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
 def _largest_relative_change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
     """Return the largest relative change of several arrays between two periods.
 
-    ``newest`` and ``previous`` hold the same quantities as samples (N, m), in a period and in an
-    earlier one. For each array, the norm of the difference is divided by the array's size in
+    ``newest`` and ``previous`` hold the same quantities as samples (N, m), in the last period and
+    in a period before. For each array, the norm of the difference is divided by the array's size in
     ``newest`` (:func:`_moving_part_sizes`).
     """
     compared_parts_and_sizes = zip(newest, previous, _moving_part_sizes(newest), strict=True)
@@ -635,8 +635,8 @@ def _moving_part_sizes(period_arrays: Sequence[np.ndarray]) -> list[float]:
 
     Used to make changes from period to period relative. The size is the root sum of squares. In
     this sum the mean over time is limited to the oscillation: a steady load must not hide changes.
-    An array whose size is below 1e-12 times the largest size gets inf, so its changes do not count.
-    An example: gaps between rigid crack faces in permanent contact.
+    An array with a size below 1e-12 times the largest size gets inf: the changes do not count. An
+    example: gaps between rigid crack faces in permanent contact.
     """
     motion_sizes = [motion_size(period_array) for period_array in period_arrays]
     return [
@@ -651,8 +651,8 @@ def make_initial_state_parts(
     """Return displacement [m] and velocity [m/s] at time 0, (n_local,) each (collective).
 
     With friction a third array (n_pairs,) [m] may follow: the tangential gaps at which pairs stick.
-    It follows if ``initial`` has it. ``initial`` is one of four: a harmonic-balance solution; the
-    Run of a scene, whose result is taken; a tuple of the arrays in this order; or None for rest.
+    ``initial`` is a harmonic-balance solution, a Run with a solution, a tuple of the arrays in this
+    order, or None for rest. The third array follows if ``initial`` has sticking places.
 
     Raises
     ------
