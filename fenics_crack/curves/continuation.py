@@ -275,7 +275,8 @@ class GrowingCurve:
     def run(self) -> None:
         """Follow the curve to its end.
 
-        Iteration would be slower: here whole segments without events are recorded together.
+        Used instead of iteration, as it is faster: whole segments without events are recorded
+        together.
         """
         for segment in self._yield_segments():
             self._append_segment(segment)

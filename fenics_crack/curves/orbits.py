@@ -65,8 +65,8 @@ class OrbitEquations(CurveSystem):
 
     z is the state of modal displacements and velocities, T the orbit's period of ``subharmonic``
     load periods, and p the path parameter, 0 to 1. The unknowns x are the scaled state z(0) less
-    the rest state. ``balance_class`` is the class with harmonic-balance equations along the same
-    parameter. Only the class's change of the problem is used here.
+    the rest state. ``balance_class``, the class of harmonic-balance equations along the same
+    parameter, varies the problem here.
 
     Raises
     ------

@@ -154,9 +154,23 @@ def _monodromy_matrix_by_equal_steps(
 ) -> np.ndarray:  # fmt: skip
     """Return the monodromy matrix of the linear flow by equal steps.
 
-    ``n_steps`` is the number of steps per period, a power of two. The error is of second order in
-    the step length. The matrices of several parts of the period are computed together, and then
-    multiplied in sequence. The result (2 n_modes, 2 n_modes) is not finite with too few steps.
+    The linear flow is the motion of small disturbances of a solution. The matrix (2 n_modes, 2
+    n_modes) maps a disturbance at phase zero to the disturbance a period later. The error is of
+    second order in the step length; with too few steps the matrix is not finite. Matrices of
+    several parts of the period are computed together, then multiplied in sequence.
+
+    Parameters
+    ----------
+    modes : AllModes
+        Modes of the structure.
+    contact : ContactLaw
+        Law of all pairs.
+    gap_coefficients : (2H+1, n_pairs) [m]
+        Fourier coefficients of the solution's gaps; with a residual flexibility, of the slow gaps.
+    base_omega : float [rad/s]
+        Frequency of the response.
+    n_steps : int
+        Number of steps per period, a power of two.
     """
     step_size = 2.0 * np.pi / base_omega / n_steps
     n_modes = len(modes.squares)
@@ -201,14 +215,19 @@ def _monodromy_matrix_by_equal_steps(
 def _velocity_change_by_contact(
     modes: AllModes, step_times_stiffness: np.ndarray, modal_displacement: np.ndarray
 ) -> np.ndarray:
-    """Return the modal velocity change by contact over a step, h P kappa P^T q.
+    """Return the modal velocity change by contact over a step: h P kappa P^T q.
+
+    The matrix P^T takes modal displacements q to the gaps of the pairs. P takes contact forces to
+    modal forces.
 
     Parameters
     ----------
+    modes : AllModes
+        Modes of the structure, with P.
     step_times_stiffness : (..., n_pairs, 1), or (..., n_pairs, n_pairs) if pairs are coupled
         Step length h times contact stiffness kappa.
     modal_displacement : (..., n_modes, k)
-        Modal displacements q; P^T takes them to the gaps.
+        k modal displacements q.
 
     Returns
     -------
@@ -228,11 +247,18 @@ def _velocity_change_by_contact(
 def _states_after_step_without_contact(
     modes: AllModes, one_step_transition: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
-    """Return modal states after one exact step without contact forces: (m, 2 n_modes, k).
+    """Return states after an exact step without contact forces: (m, 2 n_modes, k).
 
-    ``states`` (m, 2 n_modes, k) have modal displacements, then velocities, in the second index.
-    ``one_step_transition`` is exp(A h) of z' = A z over the step h: (2 n_modes, 2 n_modes). If
-    damping does not couple modes, it is (4, n_modes), the diagonals of its four blocks.
+    Parameters
+    ----------
+    modes : AllModes
+        Modes of the structure.
+    one_step_transition : (2 n_modes, 2 n_modes) or (4, n_modes)
+        Matrix exp(A h) for z' = A z without contact, over a step of length h. If damping does not
+        couple modes: the diagonals of its four blocks, row by row.
+    states : (m, 2 n_modes, k)
+        k states z for each of m parts of the period. The second index has modal displacements, then
+        modal velocities.
     """
     if modes.damping.ndim == 2:
         return np.asarray(one_step_transition @ states)
@@ -487,9 +513,10 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
 def attractor_from_rest(solution: PeriodicSolution) -> Attractor | None:
     """Follow the exact motion from rest under the solution's load (collective).
 
-    The motion may settle to the solution or to another attractor. It is followed for as long as a
-    search for an orbit allows, at least 60 periods. The result is None without an exact flow, or
-    for more than 120 modes.
+    The result shows where the motion settles: perhaps to the solution, perhaps to another orbit.
+    The motion is followed until it settles. The limit is the number of periods for a quarter of an
+    orbit search's work (:class:`SearchOptions`), but at least 60 periods. Without an exact flow, or
+    with more than 120 modes, the result is None.
     """
     flow = solution.assessment.flow
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:

@@ -451,8 +451,8 @@ class ContactFlow(ModalFlow):
 
         A modal displacement has the weight max(w_j, ``base_omega``), with the mode's frequency w_j
         [rad/s] and the response's lowest frequency ``base_omega`` [rad/s]. A modal velocity has the
-        weight 1. With friction, each slider position has the square root of the pair's stiffness
-        while all pairs but this slip.
+        weight 1. With friction, a slider position has the square root of the pair's tangential
+        stiffness while no other pair sticks.
         """
         energy_weights = np.ones(self.state_size)
         np.sqrt(
@@ -903,8 +903,15 @@ class IntegratedMotion(NamedTuple):
 def _upper_bound_of_rates(max_square: float, damping: np.ndarray) -> float:
     """Return an upper bound of the modes' oscillation and decay rates [1/s].
 
-    The bound holds for |s| in s^2 + c s + k = 0. Here k is at most ``max_square`` [1/s^2], and c is
-    any Rayleigh quotient of ``damping`` [1/s], a matrix (n, n) or a diagonal (n,).
+    Used for the length of Taylor pieces. The rates are the moduli |s| of the roots of s^2 + c s + k
+    = 0, with damping c and stiffness k of a mode.
+
+    Parameters
+    ----------
+    max_square : float [1/s^2]
+        Largest k.
+    damping : (n, n) or (n,) [1/s]
+        Damping matrix, or the diagonal of one. c may be any of its Rayleigh quotients.
     """
     max_damping_rate = float(np.linalg.norm(damping, 2 if damping.ndim == 2 else np.inf))
     if damping.ndim == 2 and not np.allclose(damping, damping.T):  # c is complex

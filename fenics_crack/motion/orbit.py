@@ -652,7 +652,7 @@ class RealFourierCoefficients(NamedTuple):
 class ApproximateOrbitInEqualParts(PeriodicOrbit):
     """Approximate orbit: exact motions over equal parts of a period.
 
-    The state may jump from part to part. The interface is the orbit's.
+    The state may jump from part to part. All methods are those of an exact orbit.
 
     Attributes
     ----------
@@ -708,6 +708,16 @@ def is_orbit_search_affordable(
 
     With more modes and mass at the crack faces, the result is False: crack faces bounce, and
     Newton's method fails to converge from harmonic-balance solutions.
+
+    Parameters
+    ----------
+    flow : ContactFlow
+    omega : float
+        Load frequency [rad/s].
+    subharmonic : int
+        Number of load periods in the orbit's period.
+    n_periods : int
+        Number of periods to integrate in the search. Default: the most that a search takes.
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         return not is_load_too_slow(flow, omega, subharmonic)

@@ -306,8 +306,8 @@ class SystemSnes(Snes):
     def mult(self, matrix: Any, factor_vector: Any, product_vector: Any) -> None:
         """Write the product J v to ``product_vector``, with v in ``factor_vector``.
 
-        J is the Jacobian at the current unknowns. PETSc calls this method for a matrix without
-        entries; ``matrix`` is not used.
+        J is the Jacobian at the current unknowns. PETSc calls this method for a matrix that is not
+        formed; ``matrix`` is not used.
         """
         product_vector.array_w[:] = self._linearisation.apply(
             factor_vector.array_r.reshape(self.system.shape)

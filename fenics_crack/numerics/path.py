@@ -552,10 +552,21 @@ class ClosedLoop(Event):
 def _find_fold_or_target(
     system: System, ends: StepEnds, target_parameter: float | None, rtol: float
 ) -> PathPoint | None:
-    """Find a fold or a target parameter between two points; None if the search fails.
+    """Find a fold or a given parameter between two points; None if the search fails.
 
-    If ``target_parameter`` is None, a fold is sought. Guesses come from Hermite's cubic p(s)
-    through the enclosing points, with s along the first point's tangent.
+    Guesses come from Hermite's cubic through the two points and their tangents. Newton's method
+    corrects each guess.
+
+    Parameters
+    ----------
+    system : System
+        Equations F(x, p) = 0 of the path.
+    ends : (PathPoint, PathPoint)
+        Neighbouring points on either side of the fold or of the given parameter.
+    target_parameter : float or None
+        Parameter p to find; None: find the fold.
+    rtol : float
+        Maximum |F| / |x| of the result.
     """
     system_equations, segment = (
         equations_of(system, ends[0].unknown.shape),
@@ -619,9 +630,11 @@ def step_control_values_or_none(system: System, linearisation: Linearisation) ->
 
 
 class Path:
-    """Path of solutions F(x, p) = 0 from a start point. Iteration yields segments, once.
+    """Path of solutions F(x, p) = 0 from a start point.
 
-    Each :class:`ConsecutivePathPoints` ends at an event, or with the last point of a kernel call.
+    Iteration follows the path and yields new points in segments. A path can be iterated only once.
+    Each segment (:class:`ConsecutivePathPoints`) ends at an event, or with the last point of a
+    kernel call.
 
     Parameters
     ----------
