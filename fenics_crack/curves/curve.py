@@ -424,7 +424,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         """Return the assessment of a harmonic-balance point by exact motions.
 
         The assessment has a predicted error and the nearest exact orbit, both computed on request.
-        ``index`` is the index of the point.
+        ``index`` is the point's index.
         """
         return next(self.assessments([index]))
 
@@ -565,11 +565,11 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def max_missed_window_width(self) -> float:
-        """Widest unstable parameter interval between the points of a curve of exact orbits.
+        """Widest unstable parameter interval that goes unnoticed on a curve of exact orbits.
 
         Between two neighbouring points, orbits may become unstable or double their period, and
-        return. A narrow interval goes unnoticed. The width is a tenth of the longest step in
-        ``values``, in the same unit.
+        return. Both may happen inside a narrow interval. The width is a tenth of the longest step
+        in ``values``, in the same unit.
         """
         return MAX_MISSED_WINDOW_TO_STEP_RATIO * float(
             np.abs(np.diff(self.values)).max(initial=0.0)

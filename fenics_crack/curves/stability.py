@@ -154,23 +154,24 @@ def _monodromy_matrix_by_equal_steps(
 ) -> np.ndarray:  # fmt: skip
     """Return the monodromy matrix of the linear flow by equal steps.
 
-    The linear flow is the motion of small disturbances of a solution. The matrix (2 n_modes, 2
-    n_modes) maps a disturbance at phase zero to the disturbance a period later. The error is of
-    second order in the step length; with too few steps the matrix is not finite. Matrices of
-    several parts of the period are computed together, then multiplied in sequence.
+    The linear flow describes small disturbances of a solution. The matrix (2 n_modes, 2 n_modes)
+    maps a disturbance at phase zero to the disturbance a period later. The error is of second order
+    in the step length; with too few steps the matrix is not finite. Matrices for several parts of
+    the period are computed together, then multiplied in sequence.
 
     Parameters
     ----------
     modes : AllModes
-        Modes of the structure.
+        The structure's modes.
     contact : ContactLaw
-        Law of all pairs.
+        Law for all pairs.
     gap_coefficients : (2H+1, n_pairs) [m]
-        Fourier coefficients of the solution's gaps; with a residual flexibility, of the slow gaps.
+        The solution's Fourier coefficients for gaps; with a residual flexibility, for slow gaps:
+        gap plus residual flexibility times contact force.
     base_omega : float [rad/s]
-        Frequency of the response.
+        The response's frequency.
     n_steps : int
-        Number of steps per period, a power of two.
+        Steps per period, a power of two.
     """
     step_size = 2.0 * np.pi / base_omega / n_steps
     n_modes = len(modes.squares)
@@ -217,13 +218,13 @@ def _velocity_change_by_contact(
 ) -> np.ndarray:
     """Return the modal velocity change by contact over a step: h P kappa P^T q.
 
-    The matrix P^T takes modal displacements q to the gaps of the pairs. P takes contact forces to
-    modal forces.
+    The matrix P^T takes modal displacements q to the pairs' gaps. P takes contact forces to modal
+    forces.
 
     Parameters
     ----------
     modes : AllModes
-        Modes of the structure, with P.
+        The structure's modes, with P.
     step_times_stiffness : (..., n_pairs, 1), or (..., n_pairs, n_pairs) if pairs are coupled
         Step length h times contact stiffness kappa.
     modal_displacement : (..., n_modes, k)
@@ -252,7 +253,7 @@ def _states_after_step_without_contact(
     Parameters
     ----------
     modes : AllModes
-        Modes of the structure.
+        The structure's modes.
     one_step_transition : (2 n_modes, 2 n_modes) or (4, n_modes)
         Matrix exp(A h) for z' = A z without contact, over a step of length h. If damping does not
         couple modes: the diagonals of its four blocks, row by row.
@@ -577,19 +578,19 @@ def _stability_by_linear_flow(
 ) -> Stability:
     """Return the stability of a solution by the multipliers of its linear flow.
 
-    The linear flow is the motion of small disturbances, with contact linearised along the solution.
-    Used for smooth laws without an exact flow. The largest modulus of the multipliers decides; the
+    The linear flow describes small disturbances, with contact linearised along the solution. Used
+    for smooth laws without an exact flow. The largest modulus of the multipliers decides; the
     uncertainty is the change with twice the harmonics. The verdict is "undecided" if the modulus is
     1 within this uncertainty, or if the solution's truncation error is unknown or above 0.05.
 
     Parameters
     ----------
     structure : Structure
-        Structure of the solution.
+        The solution's structure.
     solution : PeriodicSolution
         Harmonic-balance solution.
     contact : ContactLaw
-        Law of all pairs.
+        Law for all pairs.
     """
     gap_coefficients = solution.gap_series_without_static_part
     static_cutoff = solution.static_above

@@ -90,9 +90,9 @@ def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow
     - The law is smooth, not piecewise linear.
     - The structure is large. A small one has at most 600 dofs on one rank, or is reduced to modes
       and massless faces.
-    - Contact without springs (rigid contact, or sticking without tangential springs) has no unique
-      contact forces. The residual flexibility, the gaps' static response to contact forces on
-      massless coordinates, is then singular. An example: crack faces with mass.
+    - Contact has no springs (rigid contact, or sticking without tangential springs), and crack
+      faces have mass. More precisely, the residual flexibility is singular: the gaps' static
+      response to contact forces through massless coordinates.
     """
     return (
         ContactFlow(structure, contact)
@@ -359,8 +359,8 @@ class ContactFlow(ModalFlow):
         Used to warn of a larger coefficient: the motion may then have no unique continuation. The
         search tries 400 random combinations of pair states: open, sticking, or slipping in either
         of two directions. A combination has a matrix A(mu) from contact forces to gaps, with the
-        rows of ``compliance`` for closed pairs' normal gaps and stuck pairs' tangential gaps.
-        D_rows has the rows:
+        rows of ``compliance`` for closed pairs' normal gaps and stuck pairs' tangential gaps. With
+        these rows D_rows:
 
             A = D_rows (E_0 + mu E_1).
 

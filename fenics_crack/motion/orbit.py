@@ -652,7 +652,7 @@ class RealFourierCoefficients(NamedTuple):
 class ApproximateOrbitInEqualParts(PeriodicOrbit):
     """Approximate orbit: exact motions over equal parts of a period.
 
-    The state may jump from part to part. All methods are those of an exact orbit.
+    The state may jump from part to part. The methods of an exact orbit apply.
 
     Attributes
     ----------

@@ -195,7 +195,7 @@ class _SearchTask:
     prefer_stable : bool
         True: continue after an unstable orbit.
     tried_states : list of (n, flow.state_size)
-        Guesses that led to no orbit.
+        Guesses tried so far. If no orbit was found, further starts use the same guesses.
     failure_reasons : list of str
         Why starts failed.
     """
