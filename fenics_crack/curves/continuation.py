@@ -76,7 +76,10 @@ from fenics_crack.numerics.path import (
 
 
 class ContinuationLimitsKeywords(TypedDict, total=False):
-    """Keyword arguments for the steps along a curve, as in :class:`ContinuationLimits`."""
+    """Keyword arguments for the steps along a curve.
+
+    longest_step, most_points and max_turn_back_fraction, as in :class:`ContinuationLimits`.
+    """
 
     longest_step: float
     most_points: int

@@ -488,7 +488,9 @@ class PeriodicOrbit(ObservedMotion, Described):
     def work_of_load_and_losses(self) -> MechanicalWork:
         """Return the work of load, damping and friction in the period [J].
 
-        Gauss quadrature is exact to rounding. Rates come from the polynomials through the nodes.
+        Work is a force times a rate, integrated over time. Gauss quadrature is exact to rounding.
+        Rates of
+        displacements and gaps are derivatives of polynomials through the values at Gauss nodes.
         """
         flow = self.flow
         gauss_samples, piece_lengths = self._gauss_samples_and_lengths(

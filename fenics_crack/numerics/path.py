@@ -554,8 +554,9 @@ def _find_fold_or_target(
 ) -> PathPoint | None:
     """Find a fold or a given parameter between two points; None if the search fails.
 
-    Guesses come from Hermite's cubic through the two points and their tangents. Newton's method
-    corrects each guess.
+    Hermite's cubic for p, through both points and tangents, yields the step along the first
+    tangent. Newton's method corrects the guess after the step, and the search goes on between
+    closer points.
 
     Parameters
     ----------

@@ -379,9 +379,11 @@ class TimeHistory(ObservedMotion, Tabular):
 
     @property
     def _watched_arrays_by_period(self) -> list[np.ndarray]:
-        """Gaps plus clearance (g + g_0), and the watched displacement if recorded (collective).
+        """Return the watched motion by load periods: gaps, and displacement (collective).
 
-        Each array is (n_periods, steps_per_period, n_columns) [m].
+        Used to compare periods. The clearance is added to the gaps, so gaps are 0 without
+        displacement. The watched displacement is left out if it was not recorded. Each array is
+        (n_periods, steps_per_period, n_columns) [m].
         """
         watched_arrays = [self.gap + self.structure.clearance]
         with suppress(InputError):
