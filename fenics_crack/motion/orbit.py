@@ -489,8 +489,8 @@ class PeriodicOrbit(ObservedMotion, Described):
         """Return the work of load, damping and friction in the period [J].
 
         Work is a force times a rate, integrated over time. Gauss quadrature is exact to rounding.
-        Rates of
-        displacements and gaps are derivatives of polynomials through the values at Gauss nodes.
+        Rates of displacements and gaps are derivatives of polynomials through the values at Gauss
+        nodes.
         """
         flow = self.flow
         gauss_samples, piece_lengths = self._gauss_samples_and_lengths(
