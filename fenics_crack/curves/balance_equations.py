@@ -86,17 +86,19 @@ class BalanceEquations(CurveSystem):
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
-        """Raise InputError unless a parameter value can be used.
+        """Raise InputError unless ``value`` is allowed for the curve's parameter.
 
-        ``key`` names the value in the message. Here the value must be above 0; subclasses may have
-        another rule.
+        ``key`` is the name of the value in the error message. Here the value must be above 0.
+        Subclasses may have another rule, also with ``structure``.
         """
         check_number(key, value, 0.0, excludes_bound=True)
 
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Return the frequency above which modes are quasi-static on the whole curve [rad/s].
 
-        The result is the larger of the cutoffs at ``start`` and ``end``.
+        A quasi-static mode follows the load without inertia. The problem has a cutoff frequency for
+        quasi-static modes at each parameter value. The result is the larger cutoff of ``start`` and
+        ``end``.
         """
         return max(self.vary_problem(problem, value).quasi_static_above for value in (start, end))
 
@@ -123,7 +125,11 @@ class BalanceEquations(CurveSystem):
 
     @classmethod
     def load_frequency(cls, problem: Problem, value: float) -> float:
-        """Return a problem's load frequency at another parameter value [rad/s]."""
+        """Return the load frequency [rad/s] at a parameter value.
+
+        ``problem`` is the problem at another value. The frequency is the problem's, or follows the
+        parameter.
+        """
         return problem.omega
 
     def problem_at(self, value: float) -> Problem:
@@ -131,7 +137,10 @@ class BalanceEquations(CurveSystem):
         return self.vary_problem(self.problem, value)
 
     def _make_system(self, value: float) -> ContactSystem:
-        """Make the harmonic-balance equations at a value of the curve's parameter."""
+        """Make the harmonic-balance equations at a value of the curve's parameter.
+
+        Each call makes new equations. :meth:`system` keeps the last equations.
+        """
         if self.has_varying_integrals:
             return self.problem_at(value).system(self.compliance_model_at(value))
         return ContactSystem(self.compliance_model_at(value), self._contact_integrals)
@@ -154,16 +163,18 @@ class BalanceEquations(CurveSystem):
         return self._last_value_and_system[1]
 
     def compliance_model_at(self, value: float) -> ModalCompliance:
-        """Return the dynamic compliance of the gaps at a parameter value."""
+        """Return the dynamic compliance, from contact forces to gaps, at a parameter value."""
         return self._unvaried_compliance_model
 
     def omega(self, value: float, unknown: np.ndarray) -> float:
         return self.load_frequency(self.problem, value)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
-        """Return the unknowns (2H+1, n_pairs) [m] for a row of :attr:`ResponseCurve.points`.
+        """Return the unknowns (2H+1, n_pairs) [m] for the coefficients of a solution.
 
-        On a branch with twice the period, a row of the parent curve is repeated to fill the period.
+        ``state`` is a row of :attr:`ResponseCurve.points`, usually of this curve: the row is then
+        returned unchanged. On a branch with twice the period the row may belong to the parent
+        curve. The motion is then repeated to fill the longer period.
         """
         return stretch_period(state, max(1, self.shape[0] // 2 // max(1, len(state) // 2)))
 
@@ -204,9 +215,9 @@ class BalanceEquations(CurveSystem):
     def rounding(self, parameter: float) -> float:
         """Return the rounding error |F| / |x| of the residual F, for unknowns x.
 
-        The error follows from the largest contact stiffness times the largest row sum of the
-        compliance. With a residual flexibility in series, both are smaller. ``parameter`` is the
-        path parameter, 0 to 1.
+        The error follows (:func:`residual_rounding`) from :attr:`max_force_slope` times the largest
+        row sum of the compliance without the residual flexibility. ``parameter`` is the path
+        parameter, 0 to 1.
         """
         if self.compiled_equations is not None:
             max_compliance_row_sum = self.compiled_equations.max_dynamic_row_sum(parameter)
@@ -220,8 +231,9 @@ class BalanceEquations(CurveSystem):
     def half_period_repetition_error(self, unknown: np.ndarray, parameter: float) -> float:
         """Return a motion's change over half its period, relative to its size.
 
-        The change is twice the odd harmonics; it is 0 if the motion has half the period.
-        ``unknown`` has the gaps' Fourier coefficients.
+        The change is twice the norm of the odd harmonics, and is 0 if the motion repeats after half
+        a period. ``unknown`` has the gaps' Fourier coefficients (2H+1, n_pairs). ``parameter`` is
+        not used here.
         """
         is_odd = (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
         return float(2.0 * np.linalg.norm(unknown[is_odd]) / (np.linalg.norm(unknown) or 1.0))

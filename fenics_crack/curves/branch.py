@@ -126,7 +126,8 @@ def find_branch_start_point(
     bifurcation : Bifurcation
         Period doubling or branch point.
     longest_step : float
-        Longest step along the branch.
+        Longest step along the branch, in the tangent's norm. The point is searched at a hundredth
+        of this distance from the bifurcation up to the whole distance.
     parent_curve : ResponseCurve, optional
         Curve with the bifurcation; its neighbouring points give the curve's tangent there.
 

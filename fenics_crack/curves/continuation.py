@@ -76,7 +76,10 @@ from fenics_crack.numerics.path import (
 
 
 class ContinuationLimitsKeywords(TypedDict, total=False):
-    """Keyword arguments for the steps along a curve, as in :class:`ContinuationLimits`."""
+    """Keyword arguments for the steps along a curve.
+
+    longest_step, most_points and max_turn_back_fraction, as in :class:`ContinuationLimits`.
+    """
 
     longest_step: float
     most_points: int
@@ -120,7 +123,7 @@ class GrowingCurve:
         at p = 0.
     start_point : PathPoint
         First point, with the direction.
-    step_limits : ContinuationLimits
+    continuation_limits : ContinuationLimits
         Longest step, most points, and allowed turning back.
     tolerance : float, optional
         Error tolerance for solutions from exact orbits; None: harmonic balance.
@@ -240,7 +243,10 @@ class GrowingCurve:
         return self.unjudged_curve
 
     def progress_fraction(self) -> float:
-        """Return the completed fraction of the path from start to end, 0 to 1."""
+        """Return the completed fraction of the path from start to end.
+
+        The fraction is the path parameter at the last point, limited to the range from 0 to 1.
+        """
         return min(1.0, max(0.0, self._last_path_point.parameter))
 
     def describe_progress(self) -> str:
@@ -272,7 +278,8 @@ class GrowingCurve:
     def run(self) -> None:
         """Follow the curve to its end.
 
-        Iteration would be slower: here whole segments without events are recorded together.
+        Used instead of iteration, as it is faster: whole segments without events are recorded
+        together.
         """
         for segment in self._yield_segments():
             self._append_segment(segment)

@@ -101,7 +101,11 @@ def axis_factor_name_and_unit(parameter: str, in_hertz: bool) -> tuple[float, st
 
 
 def leading_multiplier_in_upper_half(multipliers: np.ndarray) -> complex:
-    """Return the first Floquet multiplier, conjugated if its imaginary part is negative."""
+    """Return the Floquet multiplier with the largest modulus, as a single number.
+
+    ``multipliers`` (n,) are in descending order of modulus. If the largest has a negative imaginary
+    part, the complex conjugate of the same pair is returned.
+    """
     largest_multiplier = complex(multipliers[0])
     return complex(largest_multiplier.real, abs(largest_multiplier.imag))
 
@@ -318,13 +322,19 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @cached_property
     def system(self) -> BalanceEquations | OrbitEquations:
-        """Equations of the curve, from the first parameter value to the farthest."""
+        """Equations of the curve, from the first to the farthest parameter value.
+
+        The farthest value has the largest distance from the first, on either side.
+        """
         farthest_index = int(np.argmax(np.abs(self.values - self.values[0])))
         first_and_farthest_values = float(self.values[0]), float(self.values[farthest_index])
         return system_along(self.exact, self.problem, self.parameter, *first_and_farthest_values)
 
     def with_status(self, status: str) -> ResponseCurve:
-        """Return this curve with another status, and with all that was computed from it so far."""
+        """Return this curve with another status.
+
+        The new curve keeps all results computed from this curve so far.
+        """
         curve = replace(self, status=status)
         vars(curve).update(
             {name: value for name, value in vars(self).items() if name not in vars(curve)}
@@ -366,9 +376,10 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @cached_property
     def _solution_by_index_and_search(self) -> tuple[dict[int, PeriodicSolution], ...]:
-        """Solutions of exact orbits computed so far: without and with a search by balance.
+        """Caches for the solutions of exact orbits, each by the point's index.
 
-        Each by the index of the point.
+        The first dictionary is for solutions without a search by harmonic balance, the second for
+        solutions with a search. A dictionary is empty at first.
         """
         return {}, {}
 
@@ -410,17 +421,18 @@ class ResponseCurve(ObservedMotion, Tabular):
         )
 
     def assessment(self, index: int) -> Assessment:
-        """Return a harmonic-balance point's comparison with exact motions.
+        """Return the assessment of a harmonic-balance point by exact motions.
 
-        Prediction and nearest orbit are computed on request.
+        The assessment has a predicted error and the nearest exact orbit, both computed on request.
+        ``index`` is the point's index.
         """
         return next(self.assessments([index]))
 
     def assessments(self, places: Sequence[int]) -> Iterator[Assessment]:
-        """Yield the assessments of harmonic-balance points by the exact flow.
+        """Yield an assessment by exact motions for each of several harmonic-balance points.
 
-        ``places`` are indices of points on the curve. Over the frequency, the motions of many
-        points are computed together.
+        ``places`` are the indices of the points on the curve. Over the frequency, the displacements
+        of many points are computed together.
         """
         if self._common_flow is None or not isinstance(self.system, BalanceEquations):
             for point_problem, contact_point in map(self._problem_and_contact_point, places):
@@ -461,7 +473,8 @@ class ResponseCurve(ObservedMotion, Tabular):
     def gap_coefficients(self) -> np.ndarray:
         """Fourier coefficients of the normal gaps at every point: (n, 2H+1, n_pairs) [m].
 
-        For exact orbits, H is 40 and the integrals are exact.
+        For exact orbits, H is 40, and the coefficients come from quadrature of the exact motion.
+        For harmonic-balance points H is the curve's.
         """
         n_pairs, indices = self.structure.n_pairs, range(len(self))
         if self.exact:
@@ -552,10 +565,11 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def max_missed_window_width(self) -> float:
-        """Widest parameter interval that a curve of exact orbits may pass unnoticed.
+        """Widest unstable parameter interval that goes unnoticed on a curve of exact orbits.
 
-        Orbits in such an interval are unstable or have a doubled period. The width is a tenth of
-        the longest step in ``values``, in the same unit.
+        Between two neighbouring points, orbits may become unstable or double their period, and
+        return. Both may happen inside a narrow interval. The width is a tenth of the longest step
+        in ``values``, in the same unit.
         """
         return MAX_MISSED_WINDOW_TO_STEP_RATIO * float(
             np.abs(np.diff(self.values)).max(initial=0.0)
@@ -613,8 +627,8 @@ class ResponseCurve(ObservedMotion, Tabular):
     def at_bifurcations(self) -> Self:
         """Curve with the first point, the bifurcations and the last point only.
 
-        The purpose is to evaluate amplitudes and other numbers at bifurcations. Only exact orbits
-        keep their multipliers.
+        Used to evaluate amplitudes and other numbers at bifurcations. Only exact orbits keep their
+        multipliers.
         """
         curve_with_exact_multipliers_only = (
             self if self.exact else replace(self, multipliers=None, irregular=None)
@@ -639,9 +653,10 @@ class ResponseCurve(ObservedMotion, Tabular):
     def nearest(self, bifurcation: Bifurcation) -> int:
         """Return the index of the point nearest to a bifurcation.
 
-        The distance is the root sum square of two numbers. One is the parameter's
-        difference, divided by the curve's parameter range. The other is the norm of the solutions'
-        difference, divided by the norm of the bifurcation's solution.
+        The distance is the root sum square of two numbers:
+
+        - The parameter's difference, divided by the curve's parameter range.
+        - The norm of the solutions' difference, divided by the norm of the bifurcation's solution.
         """
         bifurcation_solution = bifurcation.single_point_curve.points
         distances_to_bifurcation_solution = np.linalg.norm(

@@ -79,9 +79,9 @@ class CurveSystem(ABC):
         """Return a solution's load frequency [rad/s] at a value of the curve's parameter."""
 
     def unscaled_solution(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """Convert a solution to its row in :attr:`ResponseCurve.points`; by default unchanged.
+        """Convert the unknowns x of a solution to a row for :attr:`ResponseCurve.points`.
 
-        ``value`` is the curve's parameter.
+        ``unknown`` is x, and ``value`` is the curve's parameter. By default the row is x itself.
         """
         return unknown
 

@@ -106,8 +106,8 @@ def continue_frequency(
     omega_start, omega_end : float
         Load frequencies [rad/s]; the end may be below the start.
     contact : ContactLaw
-        Law for all pairs. :class:`UnilateralConstraint` requires crack faces without mass, or modes
-        above the harmonics by which every pair can move on its own.
+        Law for all pairs. :class:`UnilateralConstraint` requires crack faces without mass. With
+        mass, modes above the highest harmonic suffice if they let every pair move on its own.
     progress : bool
         Show a progress bar.
     throw : bool

@@ -65,8 +65,8 @@ class OrbitEquations(CurveSystem):
 
     z is the state of modal displacements and velocities, T the orbit's period of ``subharmonic``
     load periods, and p the path parameter, 0 to 1. The unknowns x are the scaled state z(0) less
-    the rest state. ``balance_class`` varies the problem: it has the equations of harmonic balance
-    along the same parameter.
+    the rest state. ``balance_class``, the class of harmonic-balance equations along the same
+    parameter, varies the problem here.
 
     Raises
     ------
@@ -276,7 +276,10 @@ class OrbitEquations(CurveSystem):
         )
 
     def rounding(self, parameter: float) -> float:
-        """Return the rounding error |F| / |x| of the residual, the same for all points."""
+        """Return the rounding error |F| / |x| of the residual F, for unknowns x.
+
+        The error is 1e-12 at any ``parameter``.
+        """
         return ROUNDING
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:

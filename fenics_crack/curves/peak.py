@@ -237,9 +237,17 @@ def _first_index_below_half_power(
 ) -> int:
     """Return the index of the first point below half power, on one side of the peak.
 
-    The amplitude at this point is below 1/sqrt(2) times the peak's amplitude. If the curve ends or
-    turns back before, return the last index before. ``search_direction`` is -1 for points before
-    ``peak_index``, 1 for points after it. ``parameter_values`` and ``amplitudes`` are (n,).
+    Below half power, the amplitude is less than 1/sqrt(2) times the peak's amplitude. If the curve
+    ends or turns back first, the last index before the turn is returned.
+
+    Parameters
+    ----------
+    parameter_values, amplitudes : (n,)
+        Parameter and amplitude of the points, in order along the curve.
+    peak_index : int
+        Index of the largest amplitude.
+    search_direction : -1 or 1
+        -1: search the points before the peak. 1: search the points after the peak.
     """
     point_index, last_parameter_change = peak_index, 0.0
     half_power_amplitude = amplitudes[peak_index] / math.sqrt(2.0)

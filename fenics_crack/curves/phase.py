@@ -64,9 +64,10 @@ class ExcitingHarmonic:
     def complex_work(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
         """Return the load's complex work P = f_k^H u_k at a point [N m].
 
-        f_k and u_k are complex coefficients of load and displacement. Re P = 0 at a phase
-        resonance. ``force`` (2H+1, n_pairs) [N] replaces the contact forces at the point; default:
-        the point's own.
+        f_k and u_k are the complex coefficients of load and displacement at the exciting harmonic
+        k; H means the conjugate transpose. Re P = 0 at a phase resonance. ``point`` has the
+        linearised equations of harmonic balance. ``force`` (2H+1, n_pairs) [N] replaces the point's
+        contact forces (default).
         """
         load_displacement_products = modal_compliance_of(point).selected_displacement(
             self.cosine_and_sine_load, point.force if force is None else force
@@ -74,9 +75,10 @@ class ExcitingHarmonic:
         return self._complex_work_of(load_displacement_products)
 
     def complex_work_omega_derivative(self, point: ContactPoint) -> complex:
-        """Return the complex work's derivative by the frequency [N m s].
+        """Return the derivative of the load's complex work by the load frequency [N m s].
 
-        Contact forces are fixed.
+        ``point`` has the linearised equations of harmonic balance. Contact forces are held
+        constant.
         """
         return self._complex_work_of(
             modal_compliance_of(point).selected_displacement_omega_derivative(
@@ -85,10 +87,10 @@ class ExcitingHarmonic:
         )
 
     def _complex_work_of(self, coefficients: np.ndarray) -> complex:
-        """Return the complex work from products of load and displacement [N m].
+        """Return the load's complex work at the exciting harmonic [N m].
 
-        ``coefficients`` (2H+1, 2) [N m] are products with the displacement's Fourier coefficients:
-        of the load's cosine part (first column), and of the load's sine part.
+        ``coefficients`` (2H+1, 2) [N m] are the Fourier coefficients of two scalars: the load's
+        cosine part times the displacement, and the load's sine part times the displacement.
         """
         displacement_cosine_works, displacement_sine_works = (
             coefficients[2 * self.harmonic - 1],
@@ -101,7 +103,11 @@ class ExcitingHarmonic:
 
 
 def modal_compliance_of(point: ContactPoint) -> ModalCompliance:
-    """Return the compliance model, by all modes, of the equations at a point."""
+    """Return the compliance by all modes in the equations linearised at a point.
+
+    The compliance takes contact forces to displacements and gaps. ``point`` has the linearised
+    equations of harmonic balance.
+    """
     assert isinstance(point.system.compliance_model, ModalCompliance)
     return point.system.compliance_model
 
@@ -228,7 +234,8 @@ class PhasePoint(Linearisation):
     def half_power_width(self) -> float:
         """Return the half-power width D of a single mode with this response [rad/s].
 
-        D = -2 / Im(d ln P / dw), with the load's complex work P and the frequency w.
+        D = -2 / Im(d ln P / dw), with the load's complex work P and the load frequency w. The
+        half-power width is measured at 1/sqrt(2) of a peak's amplitude.
         """
         return -2.0 / (self.complex_work_derivative_by_frequency / self.complex_work).imag
 

@@ -238,8 +238,8 @@ def _refined_point_and_error(
 
     - The change from half as many harmonics: relative change of the amplitude, plus the amplitude
       loss due to the frequency shift, 2 (shift / half-power width)^2.
-    - The displacement's relative error by omitted harmonics, predicted with the exact motion.
-      This error matters because many further harmonics may change nothing until a harmonic meets a
+    - The displacement's relative error by omitted harmonics, predicted with the exact motion. Used
+      as the change may be small by chance: many harmonics add nothing until a harmonic excites a
       mode.
 
     Returns
@@ -276,7 +276,8 @@ def _find_order_crossing_and_resonance_rate(
 ) -> tuple[PhasePoint, float]:
     """Find the rotor speed at which an engine order meets the resonance.
 
-    The secant method varies the speed, at most 20 times.
+    The load frequency is engine order times speed. The resonance frequency changes with the speed,
+    too. The secant method varies the speed, at most 20 times.
 
     Parameters
     ----------
@@ -291,7 +292,7 @@ def _find_order_crossing_and_resonance_rate(
         Resonance at the speed of the crossing; the given point without an order.
     resonance_rate : float
         d(w_r / m) / dW, with resonance frequency w_r, engine order m and rotor speed W; 0 without
-        an order.
+        an order. Used to convert the half-power width from frequency to speed.
 
     Raises
     ------
@@ -446,9 +447,10 @@ def resonance_at(
 
 
 def problem_at_small_load(problem: Problem) -> Problem:
-    """Return a problem with a thousandth of the vibrating load.
+    """Return a problem with a thousandth of the vibrating load; the mean load stays.
 
-    The mean load stays. A crack then stays open or closed if the mean load holds it so.
+    Used to find the resonance at small amplitudes. A crack then stays open or closed if the mean
+    load holds it so.
     """
     return EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary_problem(problem, SMALL_LOAD_FACTOR)
 

@@ -154,9 +154,24 @@ def _monodromy_matrix_by_equal_steps(
 ) -> np.ndarray:  # fmt: skip
     """Return the monodromy matrix of the linear flow by equal steps.
 
-    ``n_steps`` is the number of steps per period, a power of two. The error is of second order in
-    the step length. The matrices of several parts of the period are computed together, and then
-    multiplied in sequence. The result (2 n_modes, 2 n_modes) is not finite with too few steps.
+    The linear flow describes small disturbances of a solution. The matrix (2 n_modes, 2 n_modes)
+    maps a disturbance at phase zero to the disturbance a period later. The error is of second order
+    in the step length; with too few steps the matrix is not finite. Matrices for several parts of
+    the period are computed together, then multiplied in sequence.
+
+    Parameters
+    ----------
+    modes : AllModes
+        The structure's modes.
+    contact : ContactLaw
+        Law for all pairs.
+    gap_coefficients : (2H+1, n_pairs) [m]
+        The solution's Fourier coefficients for gaps; with a residual flexibility, for slow gaps:
+        gap plus residual flexibility times contact force.
+    base_omega : float [rad/s]
+        The response's frequency.
+    n_steps : int
+        Steps per period, a power of two.
     """
     step_size = 2.0 * np.pi / base_omega / n_steps
     n_modes = len(modes.squares)
@@ -201,14 +216,19 @@ def _monodromy_matrix_by_equal_steps(
 def _velocity_change_by_contact(
     modes: AllModes, step_times_stiffness: np.ndarray, modal_displacement: np.ndarray
 ) -> np.ndarray:
-    """Return the modal velocity change by contact over a step, h P kappa P^T q.
+    """Return the modal velocity change by contact over a step: h P kappa P^T q.
+
+    The matrix P^T takes modal displacements q to the pairs' gaps. P takes contact forces to modal
+    forces.
 
     Parameters
     ----------
+    modes : AllModes
+        The structure's modes, with P.
     step_times_stiffness : (..., n_pairs, 1), or (..., n_pairs, n_pairs) if pairs are coupled
         Step length h times contact stiffness kappa.
     modal_displacement : (..., n_modes, k)
-        Modal displacements q; P^T takes them to the gaps.
+        k modal displacements q.
 
     Returns
     -------
@@ -228,11 +248,18 @@ def _velocity_change_by_contact(
 def _states_after_step_without_contact(
     modes: AllModes, one_step_transition: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
-    """Return modal states after one exact step without contact forces: (m, 2 n_modes, k).
+    """Return states after an exact step without contact forces: (m, 2 n_modes, k).
 
-    ``states`` (m, 2 n_modes, k) have modal displacements, then velocities, in the second index.
-    ``one_step_transition`` is exp(A h) of z' = A z over the step h: (2 n_modes, 2 n_modes). If
-    damping does not couple modes, it is (4, n_modes), the diagonals of its four blocks.
+    Parameters
+    ----------
+    modes : AllModes
+        The structure's modes.
+    one_step_transition : (2 n_modes, 2 n_modes) or (4, n_modes)
+        Matrix exp(A h) for z' = A z without contact, over a step of length h. If damping does not
+        couple modes: the diagonals of its four blocks, row by row.
+    states : (m, 2 n_modes, k)
+        k states z for each of m parts of the period. The second index has modal displacements, then
+        modal velocities.
     """
     if modes.damping.ndim == 2:
         return np.asarray(one_step_transition @ states)
@@ -487,9 +514,10 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
 def attractor_from_rest(solution: PeriodicSolution) -> Attractor | None:
     """Follow the exact motion from rest under the solution's load (collective).
 
-    The motion may settle to the solution or to another attractor. It is followed for as long as a
-    search for an orbit allows, at least 60 periods. The result is None without an exact flow, or
-    for more than 120 modes.
+    The result shows where the motion settles: perhaps to the solution, perhaps to another orbit.
+    The motion is followed until it settles. The limit is the number of periods for a quarter of an
+    orbit search's work (:class:`SearchOptions`), but at least 60 periods. Without an exact flow, or
+    with more than 120 modes, the result is None.
     """
     flow = solution.assessment.flow
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
@@ -503,11 +531,12 @@ def attractor_from_rest(solution: PeriodicSolution) -> Attractor | None:
 
 
 def stability_of(assessment: Assessment) -> Stability:
-    """Return the stability of an assessed solution by its nearest exact orbit.
+    """Return the stability of a solution by its nearest exact orbit.
 
-    The verdict is "undecided", with a reason, if no orbit is accepted, or if the largest
-    modulus differs from 1 by at most 1e-6. Without an orbit, the verdict is "irregular" if a small
-    disturbance of the exact motion grows.
+    ``assessment`` compares the solution with exact motions. The verdict is "undecided", with a
+    reason, in two cases: no orbit is accepted for the solution, or the largest modulus of the
+    orbit's Floquet multipliers differs from 1 by at most 1e-6. If no orbit is found, the verdict is
+    "irregular" if a small disturbance of the exact motion grows.
     """
     orbit, irregular_attractor = assessment.nearest_orbit, assessment.irregular_attractor
     if orbit is None:
@@ -549,9 +578,19 @@ def _stability_by_linear_flow(
 ) -> Stability:
     """Return the stability of a solution by the multipliers of its linear flow.
 
-    The uncertainty is the change of the largest modulus with twice the harmonics. The verdict is
-    "undecided" if the modulus is 1 within this uncertainty, or if the solution's truncation error
-    is unknown or above 0.05.
+    The linear flow describes small disturbances, with contact linearised along the solution. Used
+    for smooth laws without an exact flow. The largest modulus of the multipliers decides; the
+    uncertainty is the change with twice the harmonics. The verdict is "undecided" if the modulus is
+    1 within this uncertainty, or if the solution's truncation error is unknown or above 0.05.
+
+    Parameters
+    ----------
+    structure : Structure
+        The solution's structure.
+    solution : PeriodicSolution
+        Harmonic-balance solution.
+    contact : ContactLaw
+        Law for all pairs.
     """
     gap_coefficients = solution.gap_series_without_static_part
     static_cutoff = solution.static_above

@@ -84,13 +84,15 @@ class BudgetError(ConvergenceError):
 def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """Return the exact flow of a structure and a contact law, or None.
 
-    None in three cases:
+    The flow integrates a motion to rounding, from contact event to contact event. None is returned
+    in three cases:
 
-    - The law is smooth.
+    - The law is smooth, not piecewise linear.
     - The structure is large. A small one has at most 600 dofs on one rank, or is reduced to modes
       and massless faces.
-    - The residual flexibility is singular, as on faces with mass. In addition, contact is rigid, or
-      sticks without tangential springs.
+    - Contact has no springs (rigid contact, or sticking without tangential springs), and crack
+      faces have mass. More precisely, the residual flexibility is singular: the gaps' static
+      response to contact forces through massless coordinates.
     """
     return (
         ContactFlow(structure, contact)
@@ -102,11 +104,13 @@ def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow
 def exact_flow_or_error(structure: Structure, contact: ContactLaw) -> ContactFlow:
     """Return the exact flow of a structure and a contact law.
 
+    The flow integrates a motion to rounding, from contact event to contact event.
+
     Raises
     ------
     InputError
-        The law is smooth, the structure is too large, or the residual flexibility is singular under
-        rigid contact, as on faces with mass.
+        The law is smooth, or the structure is too large. Or contact forces are not unique, as for
+        rigid contact between crack faces with mass (:func:`exact_flow_or_none`).
     """
     check_has_exact_flow(structure, contact)
     return ContactFlow(structure, contact)
@@ -156,7 +160,7 @@ class ModalFlow:
     the slider position h of each pair. h is the tangential gap less the tangential spring's
     deformation, constant while a pair sticks. Contact rows are the pairs' normal gaps; with
     friction tangential gaps follow (n_rows = 2 n_pairs, else n_pairs). Under the layered law the
-    normal gaps come twice, as rows of the layer and below it.
+    normal gaps come twice: to the layers, then to the contact below the layers.
 
     Attributes
     ----------
@@ -168,8 +172,8 @@ class ModalFlow:
         The contact law if it has friction, else None.
     n_normal_rows : int
         Number of rows that open and close.
-    clearance : (n_pairs,) [m]
-        Clearance of each pair; with friction followed by zeros for the tangential gaps.
+    clearance : (n_pairs,) or (2 n_pairs,) [m]
+        Clearance of each pair; with friction followed by a zero for each tangential gap.
     modal_model : AllModes
         Modes with mass; ``modal_model.gaps_by_mode`` has a column for each contact row.
     n_modes, state_size : int
@@ -242,8 +246,10 @@ class ModalFlow:
         ----------
         states : (n, state_size)
             States of the flow at n instants.
-        force : (n, n_rows) or (n, n_pairs) [N]
-            Contact forces at these instants: of rows, or under the layered law of pairs.
+        force : (n, n_rows) [N]
+            Contact forces at these instants: normal ones, with friction then tangential ones. Under
+            the layered law each pair has two rows; the total forces of pairs (n, n_pairs) are
+            accepted, too.
         phase : (n,) [rad]
             Phases of the load at these instants.
         dofs : array or slice
@@ -350,15 +356,17 @@ class ContactFlow(ModalFlow):
     def critical_friction_coefficient(self) -> float:
         """Return the smallest friction coefficient mu without unique contact forces.
 
-        A combination of open, sticking and slipping pairs has a matrix A(mu) from contact forces to
-        gaps. Its rows are closed pairs' normal gaps and stuck pairs' tangential gaps. D_rows are
-        these rows of ``compliance``:
+        Used to warn of a larger coefficient: the motion may then have no unique continuation. The
+        search tries 400 random combinations of pair states: open, sticking, or slipping in either
+        of two directions. A combination has a matrix A(mu) from contact forces to gaps, with the
+        rows of ``compliance`` for closed pairs' normal gaps and stuck pairs' tangential gaps. With
+        these rows D_rows:
 
             A = D_rows (E_0 + mu E_1).
 
         E_0 places the forces in all rows, and E_1 adds slipping pairs' friction. A is singular at
         mu = -1 / e, with a real negative eigenvalue e of (D_rows E_0)^-1 D_rows E_1. The result is
-        the smallest mu from 400 random combinations; inf without such an eigenvalue.
+        inf if no combination has a real negative e.
         """
         n_pairs, critical_coefficients = self.structure.n_pairs, [np.inf]
         for trial_pair_states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
@@ -433,8 +441,8 @@ class ContactFlow(ModalFlow):
     def estimate_taylor_pieces(self, duration: float) -> float:
         """Return the number of Taylor pieces in a motion of ``duration`` [s] without events.
 
-        A piece is an interval with a single Taylor series. In a piece, the fastest mode with any
-        closed pairs turns by 10 rad.
+        A piece is an interval with a single Taylor series. A piece ends when the fastest mode has
+        turned by 10 rad. The mode's rate is an upper bound for any set of closed pairs.
         """
         return float(self.mode_rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 
@@ -442,8 +450,9 @@ class ContactFlow(ModalFlow):
         """Return the weights w of a state z for the energy norm |w z|: (state_size,).
 
         A modal displacement has the weight max(w_j, ``base_omega``), with the mode's frequency w_j
-        [rad/s]. A modal velocity has weight 1. With friction, a slider position has the root of the
-        stiffness of a single sticking pair.
+        [rad/s] and the response's lowest frequency ``base_omega`` [rad/s]. A modal velocity has the
+        weight 1. With friction, a slider position has the square root of the pair's tangential
+        stiffness while no other pair sticks.
         """
         energy_weights = np.ones(self.state_size)
         np.sqrt(
@@ -457,10 +466,11 @@ class ContactFlow(ModalFlow):
     def amplitude_weights(self, base_omega: float) -> np.ndarray:
         """Return the weights w of a state z for the amplitude norm |w z|: (state_size,).
 
-        The weights are those of the energy norm, divided by the mode's frequency w_j [rad/s], or by
-        ``base_omega`` if this is larger. So a modal displacement has the weight 1, and a modal
-        velocity 1 / max(w_j, ``base_omega``). With friction, the weight of a slider position in the
-        energy norm is divided by max(w_1, ``base_omega``).
+        This norm measures states by displacement rather than energy. A modal displacement has the
+        weight 1. A modal velocity has the weight 1 / max(w_j, ``base_omega``), with the mode's
+        frequency w_j [rad/s] and the response's lowest frequency ``base_omega`` [rad/s]. With
+        friction, a slider position has the energy norm's weight, divided by max(w_1,
+        ``base_omega``).
         """
         weights = self.energy_weights(base_omega)
         floored_mode_omegas = weights[: self.n_modes]
@@ -570,9 +580,11 @@ class ContactFlow(ModalFlow):
     ) -> tuple[Struct, Callable[[int], dict[str, np.ndarray]]]:
         """Return the kernel's struct ``flow_motion``, and a function to copy the track.
 
-        ``members`` are further fields of the struct by name. The kernel writes the track into
-        buffers for all motions. The function takes the number of intervals between events, and
-        copies a :class:`Track`'s arrays from the buffers into a dictionary by name.
+        The kernel writes the states of the pairs between events, the track, into buffers for all
+        motions. The copying function saves a track from the next motion. The function takes the
+        number of intervals between events, and returns a dictionary of :class:`Track` arrays by
+        name. ``budget`` limits the integration (None: the default limits). ``members`` are further
+        fields of the struct by name.
         """
         budget = budget or Budget()
         if self._track_buffer_length < budget.allowed_event_intervals:
@@ -636,9 +648,10 @@ class Track:
     ratios: np.ndarray | None = None
 
     def mean_time_share_of_pairs(self, is_selected: np.ndarray) -> float:
-        """Return the fraction of time in which pairs are selected, as a mean over the pairs.
+        """Return the fraction of time with a pair selected, as a mean over all pairs.
 
-        ``is_selected`` (n, n_pairs) is True for the selected pairs in each of the n intervals.
+        ``is_selected`` (n, n_pairs) is True for selected pairs, for example closed pairs, in each
+        of the n intervals between events.
         """
         return float(self.lengths @ is_selected.mean(axis=1) / self.lengths.sum())
 
@@ -670,14 +683,14 @@ class Track:
     ) -> np.ndarray:
         """Return the end state's derivative by a parameter of the contact springs: (state_size,).
 
-        The state at the start does not change with the parameter.
+        The parameter changes the springs, but not the state at the start.
 
         Parameters
         ----------
         start_state : (state_size,)
             State at the start of the track.
         softness_rate : (n_rows,)
-            Derivative by the parameter of each contact spring's compliance 1 / kappa [m/N].
+            Derivative of each contact spring's compliance 1 / kappa [m/N] by the parameter.
         """
         end_state_derivative = np.empty(self.flow.state_size)
         checked_softness_rate = require_shape(softness_rate, *self.flow.softness.shape)
@@ -706,18 +719,20 @@ class Track:
         state_jumps: np.ndarray,
         cumulative_interval_counts: np.ndarray,
     ) -> np.ndarray:
-        """Return how a small change d of the state evolves along the track.
+        """Return how a small change d of the state evolves over n successive parts of the track.
 
             d_{i+1} = M_i d_i + j_i,    M_i = derivative of the flow over part i
+
+        Used for multiple shooting: a motion in parts has jumps j between the parts.
 
         Parameters
         ----------
         start_change : (state_size,)
-            d_0.
+            Change d_0 at the track's start.
         state_jumps : (n, state_size)
             Changes j added at the parts' ends.
         cumulative_interval_counts : (n,) int
-            Number of intervals up to each part's end.
+            Number of intervals between events from the track's start to each part's end.
 
         Returns
         -------
@@ -767,19 +782,31 @@ class Samples:
 
     @property
     def is_closed(self) -> np.ndarray:
-        """Return True at each instant for rows in contact: (n, flow.n_normal_rows) bool."""
+        """Return True for pairs in contact, at each instant: (n, flow.n_normal_rows) bool.
+
+        Under the layered law a pair has two columns: for the layer, and for the contact below the
+        layer.
+        """
         return self.pair_states > 0
 
     @cached_property
     def contact_row_forces(self) -> np.ndarray:
-        """Return contact forces of the flow's rows: (n, n_rows) [N]."""
+        """Return the contact forces at each instant: (n, n_rows) [N].
+
+        Normal forces come first; with friction tangential forces follow. Under the layered law a
+        pair has two normal forces: in the layer, and below the layer.
+        """
         if self.flow.friction_law:
             return self.forces_and_openings[:, : len(self.flow.softness)]
         return np.where(self.is_closed, np.maximum(self.forces_and_openings, 0.0), 0.0)
 
     @cached_property
     def contact_row_gaps(self) -> np.ndarray:
-        """Return gaps of the flow's rows, positive for penetration: (n, n_rows) [m]."""
+        """Return the gaps at each instant, positive for penetration: (n, n_rows) [m].
+
+        Normal gaps come first; with friction tangential gaps follow. Under the layered law a pair
+        has two normal gaps: to the layer, and to the contact below the layer.
+        """
         spring_deformations = self.contact_row_forces * self.flow.softness
         if self.flow.friction_law:
             return self.forces_and_openings[:, len(self.flow.softness) :] + spring_deformations
@@ -876,8 +903,15 @@ class IntegratedMotion(NamedTuple):
 def _upper_bound_of_rates(max_square: float, damping: np.ndarray) -> float:
     """Return an upper bound of the modes' oscillation and decay rates [1/s].
 
-    The bound holds for |s| in s^2 + c s + k = 0. Here k is at most ``max_square`` [1/s^2], and c is
-    any Rayleigh quotient of ``damping`` [1/s], a matrix (n, n) or a diagonal (n,).
+    Used for the length of Taylor pieces. The rates are the moduli |s| of the roots of s^2 + c s + k
+    = 0, with damping c and stiffness k of a mode.
+
+    Parameters
+    ----------
+    max_square : float [1/s^2]
+        Largest k.
+    damping : (n, n) or (n,) [1/s]
+        Damping matrix, or the diagonal of one. c may be any of its Rayleigh quotients.
     """
     max_damping_rate = float(np.linalg.norm(damping, 2 if damping.ndim == 2 else np.inf))
     if damping.ndim == 2 and not np.allclose(damping, damping.T):  # c is complex

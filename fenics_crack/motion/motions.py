@@ -1,4 +1,4 @@
-"""Observed motions: each kind of motion yields a :class:`Record`, and all numbers follow from it.
+"""Observed motions: each kind yields a :class:`MotionRecord` for all numbers.
 
 Motions are harmonic-balance solutions, exact orbits, time histories, and curves. Each has one
 method, ``yield_records_of_row_products``. It multiplies the displacement by given rows, and adds
@@ -185,8 +185,8 @@ class MotionRecord:
     def n_pairs(self) -> int:
         """Return the number of contact pairs in the record.
 
-        The number is 0 if ``gaps`` has no columns: the crack faces' numbers are then known from an
-        earlier record.
+        The number is 0 if ``gaps`` has no columns. Gaps are left out if the crack faces' indicators
+        are known from an earlier record of the same motion.
         """
         return self.gaps.shape[1] // (1 if self.friction_coefficient is None else 2)
 
@@ -326,15 +326,16 @@ class DisplacementHarmonics:
         return float(self._amplitudes[int(order) - 1]) if has_harmonic else math.nan
 
     def ratio(self, multiple: float) -> float:
-        """Return U_j / U_1, with j = ``multiple``; nan without either.
+        """Return the ratio U_j / U_1, with j = ``multiple``.
 
-        U_1 is the amplitude at the load's frequency, U_j at j times this frequency.
+        U_1 is the amplitude at the load's frequency, U_j at j times this frequency. The result is
+        nan if the motion lacks U_j or U_1.
         """
         return self.amplitude_at_load_multiple(multiple) / self.amplitude_at_load_frequency
 
 
 class PointDisplacement(DisplacementHarmonics):
-    """An observed displacement in a :class:`Record`: row number ``row``.
+    """An observed displacement in a :class:`MotionRecord`: row number ``row``.
 
     Attributes
     ----------
@@ -353,7 +354,7 @@ class PointDisplacement(DisplacementHarmonics):
 
 
 class CrackFaceGapsAndForces:
-    """The crack faces in a motion, sampled in a :class:`Record`.
+    """The crack faces in a motion, sampled in a :class:`MotionRecord`.
 
     Attributes
     ----------
@@ -445,8 +446,8 @@ class ExtraRows(NamedTuple):
     rows : (m, n_local)
         Factors: each row times the displacement u is an observed displacement.
     read_numbers : callable
-        Function from a :class:`Record` of the m observed displacements to a dict of numbers by
-        name, such as stress intensities.
+        Function from a :class:`MotionRecord` of the m observed displacements to a dict of numbers.
+        An example of a number is a stress intensity.
     """
 
     rows: np.ndarray
@@ -475,16 +476,17 @@ class IndicatorsAndCoefficients(NamedTuple):
     records="yield_records_of_row_products",
 )
 class ObservedMotion:
-    """Base of solutions, orbits, time histories and curves, with numbers from a :class:`Record`.
+    """Base of all motions: solutions, orbits, time histories and curves.
 
-    A record has observed displacements, gaps and contact forces at instants. A subclass defines
-    :meth:`yield_records_of_row_products`.
+    Numbers like crack indicators come from a :class:`MotionRecord`. A record has observed
+    displacements, gaps and contact forces at instants. A subclass defines
+    :meth:`yield_records_of_row_products` to make the record.
     """
 
     structure: Structure
 
     def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[MotionRecord]:
-        """Yield the motion's :class:`Record`, or one for each curve point (collective).
+        """Yield the motion's :class:`MotionRecord`, or one for each curve point (collective).
 
         Parameters
         ----------
@@ -657,9 +659,10 @@ class ObservedMotion:
         }
 
     def _join_curve_point_values(self, values: list[Any]) -> Any:
-        """Return the only entry of ``values``, from a motion with a single record.
+        """Return the only entry of ``values``, a list with an entry for each record.
 
-        A curve overrides this method and returns an array over the points.
+        Most motions have a single record. A curve has a record for each point, and overrides this
+        method to return an array over the points.
         """
         [only_record_value] = values
         return only_record_value

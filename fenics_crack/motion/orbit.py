@@ -233,7 +233,10 @@ class PeriodicOrbit(ObservedMotion, Described):
         return self.flow.advance(self.state, self.omega, self.period, instants=time).samples
 
     def _samples_array_at(self, time: np.ndarray, samples_attribute: str) -> np.ndarray:
-        """Return an attribute of :class:`Samples`, by name, at any times [s]: (len(time), ...)."""
+        """Return an array of :class:`Samples` at any times [s]: (len(time), ...).
+
+        ``samples_attribute`` names the array. Times may have any order, and lie outside the period.
+        """
         sample_times, sample_index_of_time = np.unique(
             np.mod(time, self.period), return_inverse=True
         )
@@ -290,7 +293,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     def yield_records_of_row_products(
         self, rows: np.ndarray, instants: int | None = None
     ) -> Iterator[MotionRecord]:
-        """Yield the motion's :class:`Record` over a period: displacements, gaps and forces.
+        """Yield the motion's :class:`MotionRecord` over a period: displacements, gaps and forces.
 
         At any time, the motion is interpolated by polynomials through Gauss nodes, with a
         polynomial for each piece of the period between events.
@@ -485,7 +488,9 @@ class PeriodicOrbit(ObservedMotion, Described):
     def work_of_load_and_losses(self) -> MechanicalWork:
         """Return the work of load, damping and friction in the period [J].
 
-        Gauss quadrature is exact to rounding. Rates come from the polynomials through the nodes.
+        Work is a force times a rate, integrated over time. Gauss quadrature is exact to rounding.
+        Rates of displacements and gaps are derivatives of polynomials through the values at Gauss
+        nodes.
         """
         flow = self.flow
         gauss_samples, piece_lengths = self._gauss_samples_and_lengths(
@@ -649,7 +654,7 @@ class RealFourierCoefficients(NamedTuple):
 class ApproximateOrbitInEqualParts(PeriodicOrbit):
     """Approximate orbit: exact motions over equal parts of a period.
 
-    The state may jump from part to part. The interface is the orbit's.
+    The state may jump from part to part. The methods of an exact orbit apply.
 
     Attributes
     ----------
@@ -705,6 +710,16 @@ def is_orbit_search_affordable(
 
     With more modes and mass at the crack faces, the result is False: crack faces bounce, and
     Newton's method fails to converge from harmonic-balance solutions.
+
+    Parameters
+    ----------
+    flow : ContactFlow
+    omega : float
+        Load frequency [rad/s].
+    subharmonic : int
+        Number of load periods in the orbit's period.
+    n_periods : int
+        Number of periods to integrate in the search. Default: the most that a search takes.
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         return not is_load_too_slow(flow, omega, subharmonic)
@@ -732,6 +747,8 @@ def predict_orbit_by_newton_step(
 ) -> OrbitPrediction | None:
     """Take a Newton step towards an orbit, for n instants together.
 
+    Used to estimate the error of a harmonic-balance solution without a search for the orbit.
+
     Parameters
     ----------
     flow : ContactFlow
@@ -744,7 +761,7 @@ def predict_orbit_by_newton_step(
 
     Returns
     -------
-    Prediction or None
+    OrbitPrediction or None
         None if the motion cannot be integrated, or if the equations are singular.
     """
     energy_weights = flow.energy_weights(omega / subharmonic)
@@ -797,10 +814,11 @@ def predict_motion(
 def _make_i_minus_m_solver(
     flow: ContactFlow, track: Track, energy_weights: np.ndarray
 ) -> IMinusMSolver:
-    """Return the function from b to (I - M)^-1 b for a track.
+    """Return a function from b and a tolerance to the solution y of (I - M) y = b.
 
-    M is the monodromy matrix along the track. With up to 120 modes I - M is factored; LinAlgError:
-    I - M is singular. With more modes GMRES solves, in the norm |w b| with w = ``energy_weights``
+    M is the monodromy matrix along ``track``, the pairs' states over a period. With up to 120 modes
+    I - M is factored here, and the tolerance is not used; LinAlgError if I - M is singular. With
+    more modes GMRES solves to the relative tolerance in the norm |w b|, with w = ``energy_weights``
     (flow.state_size,).
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
@@ -926,9 +944,10 @@ class _NewtonOrbitSearch:
     def leads_to_orbit(self, solve_i_minus_m: IMinusMSolver | None, step_tolerance: float) -> bool:
         """Take Newton steps and return True if an orbit is reached.
 
-        Each step is multiplied by a damping factor d. The simplified step is the next Newton step
-        with the same monodromy matrix M. A step is accepted if |simplified step| <= (1 - d / 4)
-        |step|. The next factor follows from the nonlinearity |simplified step - (1 - d) step|.
+        Each Newton step is multiplied by a damping factor d, at most 1. The simplified step is the
+        next Newton step, computed with the same monodromy matrix M. The damped step is accepted if
+        |simplified step| <= (1 - d / 4) |step|. Otherwise an old M is computed anew, or d is
+        reduced. The next d follows from |simplified step - (1 - d) step|, 0 for a linear flow.
 
         Parameters
         ----------
@@ -1002,7 +1021,11 @@ class _NewtonOrbitSearch:
         return False
 
     def _fraction_along(self, change: np.ndarray, step: np.ndarray) -> float:
-        """Return the factor c of a state change's projection c ``step``, in the energy norm."""
+        """Return the part of a state change along a step, as a multiple c of the step.
+
+        c ``step`` is the projection of ``change`` on ``step`` in the energy norm,
+        (flow.state_size,) each.
+        """
         step_times_squared_weights = self._weights**2 * step
         return float(change @ step_times_squared_weights / (step @ step_times_squared_weights))
 

@@ -195,7 +195,7 @@ class _SearchTask:
     prefer_stable : bool
         True: continue after an unstable orbit.
     tried_states : list of (n, flow.state_size)
-        Guesses that led to no orbit.
+        Guesses tried so far. If no orbit was found, further starts use the same guesses.
     failure_reasons : list of str
         Why starts failed.
     """
@@ -211,9 +211,10 @@ class _SearchTask:
     def find_orbit(
         self, state: np.ndarray, solve_i_minus_m: IMinusMSolver | None = None
     ) -> PeriodicOrbit | None:
-        """Search for an orbit by Newton's method from a state; None if the search fails.
+        """Search for an orbit by Newton's method from a state (flow.state_size,) at phase zero.
 
-        ``solve_i_minus_m`` returns (I - M)^-1 b for the first steps, with the monodromy matrix M.
+        The result is None if the search fails. For the first steps ``solve_i_minus_m`` may return
+        (I - M)^-1 b, with the monodromy matrix M of a nearby motion. None: M is computed.
         """
         return find_orbit(
             self.flow, self.omega, state, subharmonic=self.subharmonic,
@@ -222,9 +223,10 @@ class _SearchTask:
 
     @property
     def orbit_equations(self) -> FlowOrbitEquations:
-        """Return the equations z(T) = z(0), with the last tried guess as start.
+        """Return the equations z(T) = z(0) of an orbit: the state z returns after the period T.
 
-        Without guesses the start is the zero state.
+        The start is the last tried guess's state at phase zero. Without guesses the start is the
+        zero state.
         """
         start_state = (
             self.tried_states[-1][0] if self.tried_states else np.zeros(self.flow.state_size)
@@ -235,7 +237,8 @@ class _SearchTask:
 def _find_orbits_from_guesses(search_task: _SearchTask) -> list[PeriodicOrbit]:
     """Find orbits by Newton's method from the guesses, up to the first stable orbit.
 
-    Without ``search_task.prefer_stable`` the first orbit is enough. A stable orbit comes first.
+    If ``search_task.prefer_stable`` is False, the search ends at the first orbit. In the result, a
+    stable orbit comes first. All tried guesses are added to ``search_task.tried_states``.
     """
     found_orbits = list[PeriodicOrbit]()
     for guessed_states in search_task.state_guesses:
@@ -459,10 +462,10 @@ ORBIT_START_STRATEGY_BY_NAME = {
 def yield_states_after_periods(
     orbit_equations: FlowOrbitEquations, scaled_state: np.ndarray, max_periods: int
 ) -> Iterator[np.ndarray]:
-    """Yield a motion's state, in scaled unknowns x, after each period.
+    """Yield a motion's state, in the scaled unknowns of ``orbit_equations``, after each period.
 
-    ``scaled_state`` is the start. The motion ends after ``max_periods`` periods, or if integration
-    fails. The motion also ends after 200 ``max_periods`` Taylor pieces, intervals with a single
+    The motion starts at ``scaled_state``, and ends after ``max_periods`` periods, after 200
+    ``max_periods`` Taylor pieces, or if integration fails. A piece is an interval with a single
     Taylor series.
     """
     remaining_taylor_pieces = MIN_PIECES_CHARGED_PER_PERIOD * max_periods

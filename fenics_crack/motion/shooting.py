@@ -75,7 +75,11 @@ class OrbitPoint(DenseLinearisation):
 
     @property
     def record(self) -> np.ndarray:
-        """Return the monodromy matrix (n, n): a step control compares Floquet multipliers."""
+        """Return the monodromy matrix (n, n), stored with this point of a path.
+
+        The eigenvalues are Floquet multipliers. A step of the path is rejected if multipliers
+        change too much.
+        """
         return self.monodromy
 
 
@@ -166,7 +170,10 @@ class ShootingEquations(Equations):
             )
 
     def _residual(self) -> np.ndarray:
-        """Return the scaled change F of the state in a period (n,), at the last point."""
+        """Return the residual F at the point evaluated last: (n,).
+
+        F is the change of the scaled state in a period.
+        """
         residual = np.empty(self.shape)
         self.function_table.residual(self.function_table, pointer(residual))
         return residual

@@ -54,8 +54,8 @@ estimate: 6e-6. Equations with a larger rounding error are refused."""
 def residual_rounding(residual_slope: float) -> float:
     """Return the rounding error of a relative residual |F| / |x|.
 
-    The result is machine epsilon times ``residual_slope``, the largest |dF| / |dx|, limited to the
-    range from ``ROUNDING`` to ``COARSE_TOLERANCE``.
+    The result is machine epsilon times ``residual_slope``, the largest |dF| / |dx|. The minimum is
+    ``ROUNDING`` (1e-12), the maximum ``COARSE_TOLERANCE`` (6e-6).
     """
     return max(ROUNDING, min(COARSE_TOLERANCE, MACHINE_EPSILON * residual_slope))
 
@@ -86,11 +86,11 @@ class Linearisation(ABC):
 
     @property
     def record(self) -> np.ndarray:
-        """Return the array stored at this point for a step control: (n_record_entries,).
+        """Return the numbers stored with this point of a path: (n_record_entries,).
 
-        A step control rejects steps of a path that are too long. The system's method
-        ``step_control_values`` computes its input from such arrays. Only systems for paths with a
-        step control implement the property.
+        Used to reject steps as too long (:class:`fenics_crack.numerics.path.StepRejectionRule`).
+        The system's method ``step_control_values`` computes the rule's input from the records of
+        several points. Only systems for paths with this rule implement the property.
         """
         raise NotImplementedError
 
@@ -103,15 +103,15 @@ class Linearisation(ABC):
 class System(Protocol):
     """Equations F(x, p) = 0 with all unknowns in one array.
 
-    The unknowns are equal on every rank. A system may have further attributes:
+    The unknowns are the same on every MPI rank. A system may have further attributes:
 
     - ``compiled_equations``: the same equations for the kernel, an :class:`Equations`, or None.
-    - ``angle_weights``: weight of each unknown in angles between tangents.
+    - ``angle_weights``: factor for each unknown in inner products for angles between tangents.
     - ``n_time_means``: number of leading unknowns that are means over time.
     - ``n_record_entries``: number of entries in :attr:`Linearisation.record`, an array of numbers
       stored at each point of a path.
-    - ``step_control_values(records)``: values (n, ...) for a step control, computed from the
-      records (n, n_record_entries) of n points.
+    - ``step_control_values(records)``: values (n, ...) to recognise steps as too long, computed
+      from the records (n, n_record_entries) of n points.
     - ``rounding(p)``: rounding error of |F| / |x| at the parameter p.
     """
 
@@ -137,7 +137,10 @@ class DenseLinearisation(Linearisation):
 
     @cached_property
     def _factors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the factors from :func:`factorise_transpose`, computed on first request."""
+        """Return the LU factors (n, n) and pivots (n,) of :meth:`matrix_to_factorise`.
+
+        :func:`factorise_transpose` computes both on first request.
+        """
         return factorise_transpose(self.matrix_to_factorise())
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
@@ -198,21 +201,27 @@ class Equations(ABC):
 
     @property
     def compiled_equations(self) -> Equations | None:
-        """Return this object, as equations for the kernel need no other form."""
+        """Return this object.
+
+        A :class:`System` has an attribute with this name for the equations in the kernel. This
+        object already has this form.
+        """
         return self
 
     @abstractmethod
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """Return F and J at the point that the kernel evaluated last.
+        """Return F and J at the point (x, p) that the kernel evaluated last.
 
-        ``unknown`` x and ``parameter`` p must be this point. Nothing is evaluated again.
+        ``unknown`` x and ``parameter`` p must be this point. The kernel's results are used, so
+        nothing is evaluated again.
         """
 
     def run_unchecked(self, loop: Any, *arguments: Any) -> int:
         """Call a C function on the equations, and return its outcome code.
 
-        ``loop`` is a function in the kernel, called with ``function_table`` and ``arguments``. The
-        code is not checked here: pass it to :meth:`has_found_solution`.
+        ``loop`` is the C function, called with ``function_table`` and then ``arguments``. The
+        outcome code tells success or the kind of failure. The code is not checked here: pass the
+        code to :meth:`has_found_solution`.
         """
         self._last_linearisation_reference = None
         return int(loop(self.function_table, *arguments))
@@ -297,9 +306,10 @@ class _PythonCallbackState:
 def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator to make a Python function a C callback of the kernel.
 
-    The function ``_solve``, for example, becomes the callback ``python_solve``. An exception must
-    not pass through C: the callback stores the exception in the state, and returns
-    ``failure_value``. All later callbacks return their failure values, too.
+    The function ``_solve``, for example, becomes the callback ``python_solve``. The first argument
+    is the :class:`_PythonCallbackState` of the system. An exception must not pass through C: the
+    callback stores the exception in this state, and returns ``failure_value``. Until the exception
+    is raised, later callbacks return failure values, too.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -323,7 +333,11 @@ def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Calla
 
 @_python_callback(kernel.FAILED)
 def _evaluate(state: _PythonCallbackState, unknown: Any, parameter: float) -> int:
-    """Linearise the system at a point for the other callbacks; return ``kernel.FOUND``."""
+    """Linearise the system at unknowns x and a parameter p; return ``kernel.FOUND``.
+
+    The linearisation is stored in ``state``, for the callbacks after this one. ``unknown`` is the C
+    pointer to x.
+    """
     state.linearisation = state.system.linearise(state.as_array(unknown).copy(), parameter)
     return int(kernel.FOUND)
 

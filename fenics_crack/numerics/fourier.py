@@ -217,8 +217,9 @@ def resize_harmonics(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
 def stretch_period(coefficients: np.ndarray, period_factor: int) -> np.ndarray:
     """Return the Fourier coefficients of the same motion for a longer base period.
 
-    The new period is ``period_factor`` times the old one: harmonic k becomes harmonic k *
-    period_factor, and the harmonics between are zero.
+    The new period is ``period_factor`` times the old one. Harmonic k becomes harmonic k *
+    period_factor, and the harmonics between are zero. ``coefficients`` (2H+1, ...) become (2H
+    period_factor + 1, ...).
     """
     complex_harmonics = to_complex(coefficients)
     stretched_harmonics = np.zeros(

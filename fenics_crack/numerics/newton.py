@@ -161,7 +161,10 @@ class Snes(ABC):
 
     @abstractmethod
     def _set_linear_solver_type(self, linear_solver: Any) -> None:
-        """Set defaults of the linear solver, a PETSc KSP. PETSc options have priority."""
+        """Set defaults for the linear solver of Newton steps, a PETSc KSP.
+
+        PETSc options override the defaults.
+        """
 
     @abstractmethod
     def write_residual(self, unknown_vector: Any, residual_vector: Any) -> None:
@@ -169,7 +172,7 @@ class Snes(ABC):
 
     @abstractmethod
     def update_jacobian(self, unknown_vector: Any) -> None:
-        """Update ``matrix`` to the Jacobian at the unknowns in a PETSc vector."""
+        """Set the PETSc matrix of the Jacobian to J at the unknowns in a PETSc vector."""
 
     def solve_into_unknown_vector(
         self, start: np.ndarray, tolerance: float, max_iterations: int
@@ -301,13 +304,21 @@ class SystemSnes(Snes):
         self._linearisation = self._linearisation_at(unknown_vector)
 
     def mult(self, matrix: Any, factor_vector: Any, product_vector: Any) -> None:
-        """Multiply a vector by the Jacobian; PETSc calls this method of a Python matrix."""
+        """Write the product J v to ``product_vector``, with v in ``factor_vector``.
+
+        J is the Jacobian at the current unknowns. PETSc calls this method for a matrix that is not
+        formed; ``matrix`` is not used.
+        """
         product_vector.array_w[:] = self._linearisation.apply(
             factor_vector.array_r.reshape(self.system.shape)
         ).ravel()
 
     def apply(self, preconditioner: Any, right_side_vector: Any, solution_vector: Any) -> None:
-        """Solve with the Jacobian; PETSc calls this method of a Python preconditioner."""
+        """Write the solution J^-1 r to ``solution_vector``, with r in ``right_side_vector``.
+
+        J is the Jacobian at the current unknowns. PETSc calls this method as a preconditioner; the
+        argument ``preconditioner`` is not used.
+        """
         solution_vector.array_w[:] = self._linearisation.solve(
             right_side_vector.array_r.reshape(self.system.shape)
         ).ravel()
@@ -353,7 +364,8 @@ class Tangent:
     def inner_product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
         """Return w <x, y>, the inner product of two vectors of unknowns in the tangent's norm.
 
-        Products of means over time count with the factor ``time_mean_weight``.
+        x is ``vector``, y is ``other_vector``, and w is ``unknowns_weight``. Products of means over
+        time are multiplied by ``time_mean_weight``. ``system`` tells the number of means.
         """
         if self.time_mean_weight == 1.0:
             return self.unknowns_weight * float(np.vdot(vector, other_vector))
@@ -369,7 +381,7 @@ class Tangent:
     def cosine_to(self, reference_tangent: Tangent, system: System) -> float:
         """Return the cosine of the angle to a unit reference tangent, in the reference's norm.
 
-        This tangent may have any length; for length 0 or an overflow the result is 0.
+        This tangent may have any length. If the length is 0 or overflows, the result is 0.
         """
         product = (
             reference_tangent.inner_product(system, self.x, reference_tangent.x)
@@ -412,13 +424,14 @@ def count_time_means(system: System) -> int:
 def motion_size_squared(oscillation_norm_squared: float, mean_norm_squared: float) -> float:
     """Return the squared size of a motion from its oscillation and its means over time.
 
-    The result is o + min(m, o), with o and m the two sums of squares. If o < 1.8e-12 m, the
-    oscillation is rounding error, and the result is o + m. It is at least 1e-300.
+    With the oscillation's sum of squares o and the means' sum of squares m, the result is o +
+    min(m, o). So a large mean does not hide a small oscillation. If o < 1.8e-12 m, the oscillation
+    is rounding error, and the result is o + m. The minimum is 1e-300.
 
     Parameters
     ----------
     oscillation_norm_squared, mean_norm_squared : float
-        Sums of the squares of the oscillation and of the means over time.
+        o and m.
     """
     has_large_means = (
         MACHINE_EPSILON**0.75 * mean_norm_squared < oscillation_norm_squared < mean_norm_squared
@@ -465,9 +478,9 @@ def norm_weights_of_unknowns_and_means(system: System, unknown: np.ndarray) -> t
     """Return the weights of the norm w |x|^2 + p^2 at a solution x.
 
     In |x| the means over time contribute at most as much as the oscillation. A clearance or a
-    steady load may make means large, but steps must be relative to the oscillation to resolve a
-    resonance. A change in a large mean is divided by the mean itself. For example, a crack's mean
-    opening grows with a rotor's speed by far more than the oscillation.
+    steady load may make means large. Steps must be relative to the oscillation all the same, to
+    resolve a resonance. A change in a large mean is divided by the mean, not by the oscillation.
+    For example, a crack's mean opening grows with a rotor's speed by far more than the oscillation.
 
     Returns
     -------
@@ -496,9 +509,11 @@ def tangent_of(
     linearisation: Linearisation,
     direction: Tangent | None = None,
 ) -> Tangent:
-    """Return the unit tangent of a path at a solution ``unknown`` with its linearisation.
+    """Return the unit tangent of the path at a solution x.
 
-    The tangent points towards growing p or, if given, has a positive cosine to ``direction``.
+    ``unknown`` is x, and ``linearisation`` has the derivatives at x. A path has two directions: the
+    tangent has a positive cosine to ``direction``. If ``direction`` is None, the parameter p grows
+    along the tangent.
     """
     unknowns_derivative_by_parameter = -linearisation.solve(linearisation.by_parameter)
     slope_tangent = Tangent(
@@ -522,7 +537,8 @@ def point_on_path(
 ) -> PathPoint:
     """Make a point of a path from a solution (x, p), with the path's tangent.
 
-    The tangent points towards growing p or, if given, has a positive cosine to ``direction``.
+    ``unknown`` is x, and ``parameter`` is p. A path has two directions: the tangent has a positive
+    cosine to ``direction``. If ``direction`` is None, p grows along the tangent.
     """
     linearisation = system.linearise(unknown, parameter)
     return PathPoint(unknown, parameter, 0, tangent_of(system, unknown, linearisation, direction))
@@ -633,9 +649,10 @@ def predict_and_correct(
 ) -> PathPoint | None:
     """Return the point of a path after a step from a start; None if Newton's method fails.
 
-    The predictor moves by ``step_length`` along the start's tangent; the returned point keeps this
-    tangent. ``max_parameter_change`` limits the distance between corrected and predicted parameter;
-    default: 3 ``step_length``.
+    The prediction lies at the distance ``step_length`` on the start's tangent. Newton's method
+    corrects the prediction in the plane orthogonal to this tangent, until |F| / |x| <=
+    ``tolerance``. The returned point has the start's tangent. ``max_parameter_change`` limits the
+    distance between corrected and predicted parameter; default: 3 ``step_length``.
     """
     tangent = start_point.tangent
     predicted_unknown = start_point.unknown + step_length * tangent.x
@@ -656,7 +673,9 @@ def try_step(
 ) -> PathPoint | None:
     """Return the point of a path after a step from a start, with the tangent there.
 
-    The tangent has a positive cosine to the start's tangent. None if Newton's method fails.
+    ``step_length`` is measured along the start's tangent. At the new point |F| / |x| <=
+    ``tolerance``. The new tangent has a positive cosine to the start's. The result is None if
+    Newton's method fails.
     """
     corrected_point = predict_and_correct(system, start_point, step_length, tolerance)
     if corrected_point is None or corrected_point.linearisation is None:
@@ -680,8 +699,9 @@ def solve_at_parameter(
 ) -> PathPoint | None:
     """Solve F(x, p) = 0 at given p from a guess of x; None if Newton's method fails.
 
-    Steps are full. If ``min_damping`` is given, steps that increase the residual are shortened by
-    a factor down to this value.
+    ``unknown`` is the guess, ``parameter`` is p, and ``tolerance`` is the maximum |F| / |x|. Newton
+    steps are full. If ``min_damping`` is given, steps that increase the residual are shortened by a
+    factor down to this value.
     """
     return solve_in_plane(
         system, unknown, parameter, None,
@@ -715,7 +735,11 @@ def solve_by_full_or_damped_steps(
 
 
 def chord_length(system: System, start: PathPoint, end: PathPoint) -> float:
-    """Return the distance between two points of a path, in the first point's norm."""
+    """Return the distance between two points (x, p) of a path.
+
+    The distance is the root of w |dx|^2 + dp^2, with the differences dx and dp between the points.
+    The weight w belongs to the tangent of ``start``.
+    """
     change = end.unknown - start.unknown
     length_squared = start.tangent.inner_product(system, change, change)
     return float(np.sqrt(length_squared + (end.parameter - start.parameter) ** 2))

@@ -284,14 +284,15 @@ class Event(ABC):
     def mark_steps_with_event(self, segment: ConsecutivePathPoints) -> np.ndarray:
         """Mark steps between neighbouring points with a possible event: (n-1,) bool.
 
-        ``segment`` has n points. :meth:`locate` is called for each marked step.
+        ``segment`` has n points. Only for marked steps, :meth:`locate` then searches the event.
         """
 
     @abstractmethod
     def locate(self, system: System, ends: StepEnds, rtol: float) -> PathPoint | None:
-        """Locate the event between two neighbouring points ``ends``, with |F| / |x| <= ``rtol``.
+        """Locate the event between two neighbouring points, to |F| / |x| <= ``rtol``.
 
-        None if the step has no event, or if the search fails.
+        ``ends`` has the two points, and F(x, p) = 0 are the equations of ``system``. The result is
+        None without an event between the points, or if the search fails.
         """
 
 
@@ -336,7 +337,7 @@ def _sign_of_tangent_part_times_determinant(system: System, point: PathPoint) ->
 
 
 class ZeroCrossing(Event):
-    """Sign change of a function f(point) along a path.
+    """Event at a sign change of a given function f(point).
 
     :func:`find_zero_point_and_function_value` locates the zero.
     """
@@ -551,10 +552,22 @@ class ClosedLoop(Event):
 def _find_fold_or_target(
     system: System, ends: StepEnds, target_parameter: float | None, rtol: float
 ) -> PathPoint | None:
-    """Find a fold or a target parameter between two points; None if the search fails.
+    """Find a fold or a given parameter between two points; None if the search fails.
 
-    If ``target_parameter`` is None, a fold is sought. Guesses come from Hermite's cubic p(s)
-    through the enclosing points, with s along the first point's tangent.
+    Hermite's cubic for p, through both points and tangents, yields the step along the first
+    tangent. Newton's method corrects the guess after the step, and the search goes on between
+    closer points.
+
+    Parameters
+    ----------
+    system : System
+        Equations F(x, p) = 0 of the path.
+    ends : (PathPoint, PathPoint)
+        Neighbouring points on either side of the fold or of the given parameter.
+    target_parameter : float or None
+        Parameter p to find; None: find the fold.
+    rtol : float
+        Maximum |F| / |x| of the result.
     """
     system_equations, segment = (
         equations_of(system, ends[0].unknown.shape),
@@ -586,23 +599,28 @@ def _find_fold_or_target(
 
 
 class StepRejectionRule(ABC):
-    """Rule to reject steps of a path as too long, by ``step_control_values`` of the points."""
+    """Rule to reject steps of a path as too long.
+
+    The rule compares ``step_control_values`` of neighbouring points. The system computes the
+    values, for example Floquet multipliers.
+    """
 
     @abstractmethod
     def mark_rejected_steps(
         self, segment: ConsecutivePathPoints, first_index: int = 0
     ) -> np.ndarray:
-        """Return True for each step that is too long: (n-1-first_index,) bool.
+        """Mark steps as too long by True: (n-1-first_index,) bool.
 
         ``segment`` has n points, with n-1 steps between them. Steps before the point
-        ``first_index`` are not judged.
+        ``first_index`` are not judged, and have no entry in the result.
         """
 
 
 def step_control_values_or_none(system: System, linearisation: Linearisation) -> np.ndarray | None:
-    """Return a point's values for a step control; None if the system has none.
+    """Return a point's values for a :class:`StepRejectionRule`, or None.
 
-    ``linearisation`` belongs to the point; the values come from :attr:`Linearisation.record`.
+    None: the system has no values. Otherwise the system computes the values from the
+    :attr:`Linearisation.record` of ``linearisation``, the equations linearised at the point.
     """
     values_function_or_none = getattr(system, "step_control_values", None)
     return (
@@ -613,9 +631,11 @@ def step_control_values_or_none(system: System, linearisation: Linearisation) ->
 
 
 class Path:
-    """Path of solutions F(x, p) = 0 from a start point. Iteration yields segments, once.
+    """Path of solutions F(x, p) = 0 from a start point.
 
-    Each :class:`ConsecutivePathPoints` ends at an event, or with the last point of a kernel call.
+    Iteration follows the path and yields new points in segments. A path can be iterated only once.
+    Each segment (:class:`ConsecutivePathPoints`) ends at an event, or with the last point of a
+    kernel call.
 
     Parameters
     ----------
@@ -778,9 +798,10 @@ class Path:
     # --- its steps --------------------------------------------------------------------------------
 
     def _with_record_and_step_control_values(self, point: PathPoint) -> PathPoint:
-        """Return a point with ``record`` and ``step_control_values`` from the system.
+        """Return a point with the numbers for the step control.
 
-        Without a step control the point comes back unchanged.
+        The numbers are ``record`` and ``step_control_values`` from the system. Without a step
+        control the point is returned unchanged.
         """
         if self._step_control is None or point.step_control_values is not None:
             return point

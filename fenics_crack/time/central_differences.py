@@ -124,10 +124,11 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
 
 
 def _contact_stiffnesses(structure: Structure, contact: ContactLaw) -> np.ndarray:
-    """Return the contact stiffness of each gap row: (n_rows,) [N/m].
+    """Return the stiffness of the contact spring for each contact force: (n_rows,) [N/m].
 
-    The normal stiffness of each pair comes first; with friction the tangential stiffnesses follow.
-    UnilateralConstraint has stiffness 0. InputError if friction lacks a penalty stiffness.
+    Each pair's normal stiffness comes first; with friction the tangential stiffnesses follow.
+    UnilateralConstraint has no spring: the result is 0. InputError if a friction law lacks a normal
+    or tangential spring.
     """
     softness = spring_compliances(contact, structure.n_pairs)
     if friction_of(contact) is not None and not np.all(softness):
@@ -302,8 +303,9 @@ def _last_velocity(
 class _ModalDifferences(Scheme):
     """Integrate a small structure in the coordinates of all modes, by the compiled kernel.
 
-    Modal damping and A^-1 are diagonals (n,) if damping leaves the n modes uncoupled, otherwise
-    matrices (n, n). A is mass plus dt / 2 times damping.
+    A step needs A^-1, with the modal matrix A: mass plus dt / 2 times damping. If damping leaves
+    the n modes uncoupled, damping and A^-1 are stored as diagonals (n,), otherwise as matrices (n,
+    n).
     """
 
     name, remedy = SCHEME_NAME, MORE_STEPS_REMEDY
@@ -382,7 +384,10 @@ class _ModalDifferences(Scheme):
         )  # fmt: skip
 
     def _end_gaps(self) -> np.ndarray:
-        """Return the gaps of the current modal displacement: (n_rows,) [m]."""
+        """Return the gaps at the current modal displacement: (n_rows,) [m].
+
+        Each contact force has a gap: normal gaps first, with friction then tangential gaps.
+        """
         return np.asarray(
             self._modal_displacement @ self._modes.gaps_by_mode
             - self._structure_with_contact_rows.clearance
@@ -404,9 +409,11 @@ class _ModalDifferences(Scheme):
         return np.asarray(acceleration - modes.damping_force(velocity))
 
     def _penalty_forces_of_rows(self, gap: np.ndarray) -> np.ndarray:
-        """Return contact forces from gaps (n_rows,) [m] by the penalty law: (n_rows,) [N].
+        """Return contact forces (n_rows,) [N] from gaps (n_rows,) [m] by the penalty law.
 
-        With friction pairs stick at ``_sticking_tangential_gaps``, unchanged by the call.
+        Normal gaps come first; with friction tangential gaps follow, and the forces have the same
+        order. Friction forces also depend on the sticking places, tangential gaps of sticking
+        pairs. This call does not change the sticking places.
         """
         if friction_of(self._request.contact) is None:
             return self._request.row_law.force(gap)
@@ -584,9 +591,11 @@ class _CentralDifferences(Scheme):
         return net_force
 
     def _penalty_forces_of_rows(self, gap: np.ndarray) -> np.ndarray:
-        """Return contact forces from gaps (n_rows,) [m] by the penalty law: (n_rows,) [N].
+        """Return contact forces (n_rows,) [N] from gaps (n_rows,) [m] by the penalty law.
 
-        With friction the tangential gaps at which pairs stick are updated.
+        Normal gaps come first; with friction tangential gaps follow, and the forces have the same
+        order. Friction forces also depend on the sticking places, tangential gaps of sticking
+        pairs. This call updates the sticking places.
         """
         if friction_of(self.contact) is None:
             return self._row_law.force(gap)
@@ -597,30 +606,40 @@ class _CentralDifferences(Scheme):
         return forces[0]
 
     def _gap_change(self, displacement: np.ndarray) -> np.ndarray:
-        """Return B^T u, the change of the gaps by a displacement u: (n_rows,) [m].
+        """Return the gaps' change by a displacement u: (n_rows,) [m].
 
-        u (n_local,) is this rank's part of the displacement; the result is summed over ranks.
+        The change is B^T u. The matrix B takes contact forces to forces on the dofs.
+        ``displacement`` (n_local,) [m] is this rank's part of u; the result is summed over ranks.
         """
         return self.structure.sum_over_ranks(
             displacement[self._contact_dofs] @ self._contact_dof_gap_matrix
         )
 
     def _gap_of(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the gaps B^T u - g_0 at a displacement u (n_local,): (n_rows,) [m]."""
+        """Return the gaps at a displacement (n_local,) [m], clearance included: (n_rows,) [m].
+
+        A gap is positive if the crack faces penetrate, and minus the clearance at zero
+        displacement.
+        """
         return self._gap_change(displacement) - self._clearance
 
     def _apply_operator(
         self, operator: Callable[[Any, Any], None], vector: np.ndarray
     ) -> np.ndarray:
-        """Apply a PETSc operator (input vector, output vector) to an array: (n_local,)."""
+        """Apply a PETSc operator to a vector (n_local,) and return the result (n_local,).
+
+        ``operator`` takes two PETSc vectors: the first is read, the second written. Examples are
+        the product with a matrix, and the solution by factors of a matrix.
+        """
         self._input_vector.array_w[:] = vector
         operator(self._input_vector, self._output_vector)
         return self._output_vector.array_r.copy()
 
     def _solve_with_damped_mass(self, force: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Return A^-1 (r - C v) with the damped mass A = M + dt/2 C: (n_local,).
+        """Return the acceleration A^-1 (r - C v), with A = M + dt/2 C: (n_local,) [m/s^2].
 
-        r is ``force``, v is ``velocity``, (n_local,) each; C is the damping matrix.
+        M and C are the mass and damping matrices, and dt is the step. ``force`` (n_local,) [N] is
+        r, ``velocity`` (n_local,) [m/s] is v.
         """
         modes = self._modes
         if modes is None:
@@ -656,9 +675,10 @@ class _CentralDifferences(Scheme):
             return np.asarray(factored_mass.solve(force[None])[0])
 
     def _linear_energy(self, velocity: np.ndarray) -> float:
-        """Return elastic plus kinetic energy (u^T K u + v^T M v) / 2 over all ranks [J].
+        """Return elastic plus kinetic energy without contact springs, over all ranks [J].
 
-        u is the current displacement, v is ``velocity`` (n_local,).
+        The energy is (u^T K u + v^T M v) / 2, with stiffness K and mass M. u is the current
+        displacement, and v is ``velocity`` (n_local,) [m/s].
         """
         structure = self.structure
         matrices_and_vectors = (structure.stiffness, self.displacement), (structure.mass, velocity)
@@ -671,8 +691,9 @@ class _CentralDifferences(Scheme):
     def _nearest_admissible_displacement(self, displacement: np.ndarray) -> np.ndarray:
         """Return the nearest displacement without penetration: (n_local,) [m].
 
-        The change d from the given ``displacement`` has the smallest d^T M d, with the mass matrix
-        M. Under a penalty law, or without penetration, ``displacement`` is returned.
+        Used for the start under UnilateralConstraint. The change d of the given ``displacement``
+        has the smallest d^T M d, with the mass matrix M. The given displacement is returned under a
+        penalty law, or if no pair penetrates.
         """
         gap = self._gap_of(displacement)
         if not self.is_rigid or not np.any(gap > 0.0):

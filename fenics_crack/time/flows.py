@@ -192,11 +192,11 @@ def integrate_exponential(
 
 
 def _comparison_weights_of_loaded_dofs(request: MarchRequest) -> np.ndarray:
-    """Return a factor for each loaded coordinate: (n_loaded,).
+    """Return a factor for each loaded dof or modal coordinate: (n_loaded,).
 
-    A coordinate times its factor is compared from period to period. With massless crack faces the
-    coordinates are modal. The factor is then the norm of the coordinate's load coefficients. For
-    displacements the factor is 1.
+    Used to compare the motion at the load from period to period: each displacement is multiplied by
+    a factor first. With massless crack faces the coordinates are modal. The factor is then the norm
+    of the coordinate's load coefficients over all harmonics. For displacements the factor is 1.
     """
     if not request.structure.has_massless_crack_faces:
         return np.ones(len(request.loaded_dofs))
@@ -206,11 +206,19 @@ def _comparison_weights_of_loaded_dofs(request: MarchRequest) -> np.ndarray:
 def _displacement_and_velocity(
     flow: ModalFlow, displacement: np.ndarray, state: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Return copies of the displacement [m] and the velocity [m/s], (n_dofs,) each.
+    """Return displacement [m] and velocity [m/s], (n_dofs,) each, as copies.
 
-    The velocity comes from the flow's ``state`` (state_size,): modal displacements, modal
-    velocities, sticking places. With friction the sticking places (n_pairs,) [m] are the third
-    array: the tangential gaps at which pairs stick.
+    With friction a third array (n_pairs,) [m] follows: the tangential gaps at which pairs stick.
+
+    Parameters
+    ----------
+    flow : ModalFlow
+        Flow with the modes.
+    displacement : (n_dofs,) [m]
+        Displacement, returned unchanged.
+    state : (state_size,)
+        State of the flow at the same instant: modal displacements, modal velocities, and with
+        friction the sticking places.
     """
     _, modal_velocity, sticking_places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
     velocity = flow.modal_model.shapes @ modal_velocity
@@ -499,9 +507,9 @@ class _ExponentialScheme(Scheme):
         self._end_displacement = flow.displacement_from_phase_zero(states[-1:], forces[-1:])[0]
 
     def _total_energy(self, exponential_motion: ExponentialMotion, instant_index: int) -> float:
-        """Return kinetic plus elastic plus contact spring energy at an instant [J].
+        """Return the energy at an instant: kinetic, elastic, and in contact springs [J].
 
-        ``instant_index`` counts the instants in ``exponential_motion``; -1 is the last.
+        ``instant_index`` numbers the instants in ``exponential_motion`` from 0; -1 is the last.
         """
         flow = self._flow
         displacement_at_instant = flow.displacement_from_phase_zero(

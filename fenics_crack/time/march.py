@@ -80,9 +80,9 @@ class MarchRequest:
         tangential gaps at time 0 without contact forces.
     settle : float
         Stop early if the motion's relative change from one period to the next falls below this
-        limit. 0: never. Changes in gaps and in the displacement at the load, relative to the
-        oscillation, are compared, and the larger change counts. ``TimeHistory.distance`` estimates
-        the remaining distance.
+        limit. 0: never. The change is the larger of two: in the gaps, and in the displacement at
+        the load. Each is divided by the size of its oscillation.
+        :meth:`TimeHistory.distance_to_steady_motion` estimates the remaining distance.
     record_periods : int, optional
         Number of last periods to keep. Default: all.
     dofs : sequence of int, optional
@@ -165,7 +165,10 @@ class MarchRequest:
 
     @cached_property
     def recorded_dofs(self) -> np.ndarray:
-        """Global dofs recorded by this rank; all coordinates if the structure is reduced."""
+        """Global numbers of the dofs recorded by this rank: (n_recorded,) int.
+
+        Coordinates of a reduced structure are all recorded.
+        """
         first_dof = self.structure.first_dof
         end_dof = first_dof + self.structure.n_local
         dofs_of_this_rank, whole_structure = np.arange(first_dof, end_dof), self.structure.whole
@@ -197,12 +200,20 @@ class MarchRequest:
 
     @property
     def n_gap_rows(self) -> int:
-        """Number of contact rows: one for each pair; with friction or the layered law two."""
+        """Number of scalar gaps, equal to the number of scalar contact forces.
+
+        A pair has a normal gap, with friction also a tangential gap. Under the layered law a pair
+        has two normal gaps: to the layer, and to the contact below the layer.
+        """
         return self.structure.n_pairs * count_rows_per_pair(self.contact)
 
     @cached_property
     def row_law(self) -> ContactLaw:
-        """Law for the contact rows: a penalty law for the layered law, else ``contact``."""
+        """Contact law for all gaps, with an entry for each of the ``n_gap_rows`` gaps.
+
+        Under the layered law each pair has two gaps. The result is then a penalty law with a
+        stiffness for each of the two. Otherwise the result is ``contact``.
+        """
         return law_of_rows(self.contact, self.structure.n_pairs)
 
     @property
@@ -221,7 +232,7 @@ class TimeHistory(ObservedMotion, Tabular):
     time : (n,) [s]
         Equally spaced; the load's phase is omega * time.
     gap : (n, n_pairs) [m]
-        g = B^T u - g0; g > 0: penetration.
+        Normal gap of each pair; positive if the crack faces penetrate.
     settled : float
         Relative change from the last period but one to the last: the larger of the changes in the
         gaps and in the displacement at the load. A small number means: the motion repeats with the
@@ -300,14 +311,15 @@ class TimeHistory(ObservedMotion, Tabular):
 
     @property
     def distance_to_steady_motion(self) -> float:
-        """Estimate the relative distance from the last period to the steady motion (collective).
+        """Estimate how far the last period is from the steady motion (collective).
 
-        Distances in the gaps and, if recorded, in the watched displacement are relative to the
-        oscillation; the larger distance is returned. nan: fewer than three periods are kept.
+        Distances in the gaps and, if recorded, in the watched displacement are divided by the size
+        of the oscillation. The larger distance is returned; nan if fewer than three periods are
+        kept.
 
-        The steady motion is extrapolated from the last four periods. This is exact if two Floquet
-        multipliers still decay (minimal polynomial extrapolation; Sidi, Vector Extrapolation
-        Methods, chapter 2).
+        The steady motion is extrapolated from the last four periods (minimal polynomial
+        extrapolation; Sidi, Vector Extrapolation Methods, chapter 2). The estimate is exact if the
+        rest of the transient is two decaying Floquet modes.
         """
         last_periods_of_watched_arrays = [
             watched_array[-N_RECORDED_PERIODS_OF_INTEGRATION:]
@@ -367,9 +379,11 @@ class TimeHistory(ObservedMotion, Tabular):
 
     @property
     def _watched_arrays_by_period(self) -> list[np.ndarray]:
-        """Gaps plus clearance (g + g_0), and the watched displacement if recorded (collective).
+        """Return the watched motion by load periods: gaps, and displacement (collective).
 
-        Each array is (n_periods, steps_per_period, n_columns) [m].
+        Used to compare periods. The clearance is added to the gaps, so gaps are 0 without
+        displacement. The watched displacement is left out if it was not recorded. Each array is
+        (n_periods, steps_per_period, n_columns) [m].
         """
         watched_arrays = [self.gap + self.structure.clearance]
         with suppress(InputError):
@@ -404,11 +418,11 @@ class TimeHistory(ObservedMotion, Tabular):
         )
 
     def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[MotionRecord]:
-        """Yield a single :class:`Record`: observed displacements, gaps and forces (collective).
+        """Yield a single :class:`MotionRecord`: displacements, gaps and forces (collective).
 
         An observed displacement is a row in ``rows`` (m, n_local) times the displacement
-        (n_local,). Fourier coefficients are for the last period, up to harmonic 10, or
-        (steps_per_period - 1) // 2 if less.
+        (n_local,). The record covers all kept load periods. Fourier coefficients are for the last
+        period, up to harmonic 10, or (steps_per_period - 1) // 2 if less.
 
         Raises
         ------
@@ -448,10 +462,11 @@ class TimeHistory(ObservedMotion, Tabular):
 
 
 class PeriodWindow(NamedTuple):
-    """Output arrays of a single load period.
+    """Arrays for a single load period, filled by :meth:`Scheme.integrate_and_fill_period`.
 
-    :meth:`Scheme.integrate_and_fill_period` writes them. Rows are the instants. ``gap`` [m] and
-    contact ``force`` [N] are (N, n_rows), with a column for each contact row
+    Rows are the N instants. ``gap`` [m] and contact ``force`` [N] are (N, n_rows), with a column
+    for each contact force: normal forces, with friction then tangential forces. Under the layered
+    law each pair has two normal forces
     (:func:`fenics_crack.model.contact.add_pair_for_each_contact_force`).
     """
 
@@ -491,10 +506,12 @@ class Scheme(ABC):
         """
 
     def set_created_energy_ratio(self, created_energy: float, energy_input: float) -> None:
-        """Set ``created_energy_ratio`` from two energies summed since time 0 [J].
+        """Set ``created_energy_ratio`` to ``created_energy`` divided by ``energy_input``.
 
-        ``energy_input`` comes from load and initial state. ConvergenceError if ``created_energy``
-        is not finite or exceeds twice a positive ``energy_input``.
+        Unless ``energy_input`` is positive, the ratio is not changed. Both energies [J] are summed
+        since time 0. ``created_energy`` comes from errors of the scheme, and ``energy_input`` from
+        the load and the initial state. ConvergenceError if ``created_energy`` is not finite, or
+        exceeds twice a positive ``energy_input``.
         """
         if energy_input > 0.0:
             self.created_energy_ratio = created_energy / energy_input
@@ -604,8 +621,9 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
 def _largest_relative_change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
     """Return the largest relative change of several arrays between two periods.
 
-    ``newest`` and ``previous`` hold samples (N, m) of the same quantities in two periods. The norm
-    of each difference is divided by the array's size (:func:`_moving_part_sizes`).
+    ``newest`` and ``previous`` hold the same quantities as samples (N, m), in the last period and
+    in a period before. For each array, the norm of the difference is divided by the array's size in
+    ``newest`` (:func:`_moving_part_sizes`).
     """
     compared_parts_and_sizes = zip(newest, previous, _moving_part_sizes(newest), strict=True)
     return max(
@@ -615,11 +633,11 @@ def _largest_relative_change(newest: Sequence[np.ndarray], previous: Sequence[np
 
 
 def _moving_part_sizes(period_arrays: Sequence[np.ndarray]) -> list[float]:
-    """Return a reference size for the changes of each array (N, m) over a period.
+    """Return the size of each array (N, m) of samples over a period.
 
-    The size is the root sum of squares. In this sum the mean over time is limited to the
-    oscillation: a steady load must not hide changes. An array whose size is below
-    ``STIFFNESS_SOLUTION_ROUNDING`` times the largest size gets inf, so its changes do not count. An
+    Used to make changes from period to period relative. The size is the root sum of squares. In
+    this sum the mean over time is limited to the oscillation: a steady load must not hide changes.
+    An array with a size below 1e-12 times the largest size gets inf: the changes do not count. An
     example: gaps between rigid crack faces in permanent contact.
     """
     motion_sizes = [motion_size(period_array) for period_array in period_arrays]
@@ -634,8 +652,9 @@ def make_initial_state_parts(
 ) -> tuple[np.ndarray, ...]:
     """Return displacement [m] and velocity [m/s] at time 0, (n_local,) each (collective).
 
-    ``initial`` is a solution or a run, a tuple of arrays, or None for rest. With friction a third
-    array (n_pairs,) [m] follows if ``initial`` has one: the tangential gaps at which pairs stick.
+    With friction a third array (n_pairs,) [m] may follow: the tangential gaps at which pairs stick.
+    ``initial`` is a harmonic-balance solution, a Run with a solution, a tuple of the arrays in this
+    order, or None for rest. The third array follows if ``initial`` has sticking places.
 
     Raises
     ------
