@@ -70,7 +70,7 @@ def front_functionals(
 
     Stations are points on a crack front at which the stress intensities K_I, K_II and K_III are
     computed. Stations at corners of a front are left out. With the displacement u and the contact
-    forces lambda, the stress intensities are ``of_displacement`` u + ``of_forces`` lambda.
+    forces lambda, the stress intensities are ``displacement_factors`` u + ``force_factors`` lambda.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def front_functionals(
     -------
     stations : list of Station
         Stations, front after front.
-    of_displacement : (3 n_stations, n_local) [Pa m^1/2 / m]
+    displacement_factors : (3 n_stations, n_local) [Pa m^1/2 / m]
         Factors of this rank's displacement u. Each station has three rows: K_I, K_II and K_III.
-    of_forces : (3 n_stations, n_pairs) [Pa m^1/2 / N]
+    force_factors : (3 n_stations, n_pairs) [Pa m^1/2 / N]
         Factors of the pairs' contact forces lambda, in the same order of rows.
 
     Raises

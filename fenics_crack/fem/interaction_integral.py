@@ -192,8 +192,8 @@ def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndar
 def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.ndarray, np.ndarray]:
     """Return the crack tips, and the factors for K_I and K_II (collective).
 
-    The stress intensities are ``of_displacement`` times the displacement plus ``of_forces`` times
-    the contact forces.
+    The stress intensities are ``displacement_factors`` times the displacement plus
+    ``force_factors`` times the contact forces.
 
     Parameters
     ----------
@@ -205,9 +205,9 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     Returns
     -------
     tips : list of Tip
-    of_displacement : (2 n_tips, n_local) [Pa m^1/2 / m]
+    displacement_factors : (2 n_tips, n_local) [Pa m^1/2 / m]
         Factors of this rank's displacement in K_I and K_II, tip after tip.
-    of_forces : (2 n_tips, n_pairs) [Pa m^1/2 / N]
+    force_factors : (2 n_tips, n_pairs) [Pa m^1/2 / N]
         Factors of the pairs' contact forces, in the same order of rows.
 
     Raises
