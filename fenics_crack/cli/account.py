@@ -379,8 +379,8 @@ def _describe_range(amplitudes: np.ndarray) -> str:
 def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> str:
     """Return a remark if the highest harmonic lies above all damped modes (collective).
 
-    A harmonic above all damped modes excites undamped modes only. Otherwise the text is empty.
-    Without contact pairs the text is empty, too, as only contact excites harmonics.
+    The text is empty if a damped mode lies above the harmonic. The text is also empty without
+    contact pairs, as only contact excites harmonics.
 
     Parameters
     ----------

@@ -68,8 +68,8 @@ def run_and_report_function(
 
     Notes
     -----
-    Ctrl-C is ignored while files are written. If Ctrl-C ended the computation and the folder has an
-    earlier result, this is kept. The new files are then named "..._interrupted".
+    Ctrl-C is ignored while files are written. If Ctrl-C ended the computation, an earlier result in
+    the folder is kept. The new files are then named "..._interrupted".
     """
     folder = inputs.results_folder
     if arguments.command == "curve" and inputs.scene.curve is None:
@@ -367,7 +367,7 @@ def _convert_arrivals_to_measurements(
 def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
     """Run the command ``identify``: find a crack from measurements.
 
-    Writes four kinds of results: the posterior (probability of crack positions and lengths), a
+    Writes four kinds of results: the posterior (probability distribution of the unknowns), a
     picture, the fit, and proposed places to measure next. Returns the exit code. If the
     identification has doubts, this is the code for missing convergence.
     """

@@ -123,8 +123,9 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
     """Propose a crack's start on a part, along the longest axis.
 
     The crack is on the largest face along this axis: all normals of this face differ by more than
-    45 degrees from the axis. The clamped end is the lowest. The crack's height above this end is
-    :data:`PROPOSED_CRACK_HEIGHT_FRACTION`, 0.2, of the part's length.
+    45 degrees from the axis. Without a face like this, the largest face is taken. The clamped end
+    is the lowest. The crack's height above this end is :data:`PROPOSED_CRACK_HEIGHT_FRACTION`, 0.2,
+    of the part's length.
 
     Parameters
     ----------

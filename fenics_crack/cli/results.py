@@ -40,7 +40,7 @@ QuantityRow = tuple[str, str, object, str]
 def report_of_modes(run: Run[Modes]) -> Report:
     """Build the report of natural frequencies with the crack open.
 
-    If errors due to the mesh are known, the table has a column for them.
+    If errors are known, the table has a column for them.
     """
     table = run.result.table()
     frequency_names = [

@@ -795,7 +795,8 @@ def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray
     Raises
     ------
     InputError
-        Rows differ by more than 1e-6 times the row's maximum: another load, or other pairs.
+        The number of rows or dofs differs. Or rows differ by more than 1e-6 times the maximum in
+        the row: the load or the pairs are different.
     """
     gap_and_load_rows = _stack_gap_and_load_rows(structure)
     if stored_rows.shape != gap_and_load_rows.shape:
