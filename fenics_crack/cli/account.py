@@ -91,17 +91,18 @@ SI_UNITS_OF_VALUES_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
 def yield_large_motion_warning(
     run: Run[Any], largest_displacements: Sequence[float] | np.ndarray
 ) -> Iterator[str]:
-    """Yield a warning if displacements exceed the range of small rotations (collective).
+    """Yield a warning if displacements are too large for small rotations (collective).
 
-    A rotation [rad] is a displacement over the node's distance from the clamp; the limit is
-    :data:`MAX_SMALL_ROTATION`, 0.1. The warning is about the largest rotation.
+    The equations hold for small rotations. The rotation [rad] of a node is estimated as the
+    displacement divided by the node's distance from the clamp. The limit is
+    :data:`MAX_SMALL_ROTATION`, 0.1. The warning names the dof with the largest rotation.
 
     Parameters
     ----------
     run : Run
         Run with the watched dofs.
     largest_displacements : (n_watched,) [m]
-        Largest displacements of the watched dofs, means included.
+        Each watched dof's largest displacement, from :func:`find_largest_displacements`.
     """
     clamp_distances = distances_from_clamp(
         run.structure.whole, [watched_displacement.dof for watched_displacement in run.watched]
@@ -140,15 +141,15 @@ def yield_large_error_warning(
 ) -> Iterator[str]:
     """Yield a warning if the estimated error of the gap exceeds a limit.
 
-    The warning names the largest part of the error, and a remedy not yet used in the scene. If
-    errors were not requested, no warning is given.
+    The warning names the main cause, for example too few harmonics, and a remedy not yet used in
+    the scene. Nothing is yielded if errors were not requested.
 
     Parameters
     ----------
     scene : Scene
         Scene of the solution.
     report : ErrorReport
-        Estimated errors, divided by the gaps' root mean square motion.
+        Estimated gap errors by cause, divided by the root mean square of the gaps' motion.
     n_harmonics : int
         Number of harmonics in the solution.
     location_text : str
@@ -200,7 +201,7 @@ def yield_instability_warning(
 ) -> Iterator[str]:
     """Yield a warning if a solution is unstable, irregular or undecided.
 
-    Irregular means that no periodic orbit was found and disturbances grow.
+    Irregular means: no periodic orbit was found, and disturbances grow.
 
     Parameters
     ----------
@@ -209,7 +210,8 @@ def yield_instability_warning(
     stability : Stability or None
         Verdict on stability; None gives no warning.
     motion_text : str
-        Motion in a test started near the unstable solution, in words; empty if unknown.
+        Result of :func:`describe_departing_motions`: a motion started near the solution, in words.
+        Empty if unknown.
     """
     if stability is None or stability.verdict == "stable":
         return
@@ -271,11 +273,11 @@ def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], lis
 
 
 def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterator[str]:
-    """Yield a warning if friction is so large that contact forces are nearly ambiguous.
+    """Yield a warning if friction may make contact forces ambiguous.
 
     Above a critical coefficient of friction, the contact forces at an instant may not be unique.
-    The warning begins at half the critical coefficient. Without friction, or if the motion was not
-    integrated exactly, no warning is given.
+    The warning is given from half the critical coefficient on. Nothing is yielded without friction,
+    or if ``solution`` was not also integrated in time exactly.
     """
     exact_flow = solution.assessment.flow
     if exact_flow is None or exact_flow.friction_law is None:
@@ -295,8 +297,18 @@ def yield_mode_dependence_warning(
 ) -> Iterator[str]:
     """Yield a warning if the verdict on stability changes with more modes.
 
-    ``verdict`` is compared with the stability of the nearest orbit with at least twice the modes.
-    No warning is given if both agree, or if this orbit is not known.
+    A reduced structure lacks higher modes, so the verdict may be wrong. A check with at least twice
+    the modes finds an orbit near the solution, and assesses this orbit. Nothing is yielded if the
+    verdicts agree, or if the check was not made.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the solution; the warning names the key for the number of modes.
+    solution : PeriodicSolution
+        Solution with the result of the check.
+    verdict : str
+        The solution's own verdict.
     """
     assessment_with_more_modes = solution.assessment.more_modes
     if assessment_with_more_modes is not None and (
@@ -310,10 +322,16 @@ def yield_mode_dependence_warning(
 
 
 def describe_departing_motions(solution: PeriodicSolution, watched_dof: int) -> str:
-    """Describe the motions started near an unstable or irregular solution (collective).
+    """Describe the motions after a small disturbance (collective).
 
-    The text has the half peak-to-peak displacement at ``watched_dof`` for each periodic motion, and
-    for motions still varying at the end. The text is empty if no motion was found.
+    Motions are started near ``solution``, an unstable or irregular solution. Each is computed until
+    periodic, or up to a time limit.
+
+    Returns
+    -------
+    str
+        Half peak-to-peak displacement at ``watched_dof``, for motions now periodic, and for motions
+        still varying at the end. Empty if no motion was found.
     """
     departing_motions: list[tuple[bool, int, np.ndarray]] = []
     with suppress(ConvergenceError, InputError):
@@ -359,10 +377,17 @@ def _describe_range(amplitudes: np.ndarray) -> str:
 
 
 def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> str:
-    """Remark that harmonics lie above all damped modes (collective).
+    """Return a remark if the highest harmonic lies above all damped modes (collective).
 
-    ``highest_omega`` [rad/s] is the frequency of the highest harmonic. The text is empty if modes
-    up to this frequency are damped, or without contact: only contact excites harmonics.
+    The text is empty if a damped mode lies above the harmonic. The text is also empty without
+    contact pairs, as only contact excites harmonics.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure with the damped modes.
+    highest_omega : float [rad/s]
+        Frequency of the highest harmonic.
     """
     n_damped_modes_and_their_max_omega = (
         damped_count_and_max_omega_or_none(structure) if structure.n_pairs else None
@@ -399,19 +424,20 @@ def make_report(
 ) -> Report:
     """Build a run's report, with notes common to all kinds of runs (collective).
 
-    Common notes are about friction along lines, output points away from nodes, and causes missing
-    in a stated error. In a table of quantities, the closing sentence becomes the last row.
+    The common notes are about friction along lines, and output points away from nodes. Further
+    notes name causes not included in the stated errors.
 
     Parameters
     ----------
     run : Run
         Run with the result.
     table : Table
-        Table for files; a table of quantities if the first column is "name".
+        Table to write to files. If the first column is "name", each row is a quantity. The report's
+        closing sentence is then added as the last row.
     notes, warnings : iterable of str
-        Notes and warnings for one kind of run.
+        Notes and warnings for this kind of run.
     report_fields
-        Further fields of the :class:`Report`.
+        Further fields of the :class:`Report`, by name.
     """
     friction_notes, friction_warnings = list_friction_line_notes_and_warnings(run)
     incomplete_error_notes = () if run.stated is None else run.stated.incomplete_error_notes
@@ -468,10 +494,17 @@ def _yield_node_distance_note(run: Run[Any]) -> Iterator[str]:
 
 
 def _quantity_text_tables_by_heading(run: Run[Any], table: Table) -> dict[str, Table]:
-    """Tabulate quantities as text for the report page, by heading.
+    """Tabulate quantities for the report page, by heading above the table.
 
-    "In numbers" has all quantities. "Requested by the scene" has the quantities in
-    ``output.quantities``; without any, this table is omitted.
+    "In numbers" has all quantities. "Requested by the scene" has the quantities in the scene's key
+    ``output.quantities``; without this key, the table is omitted.
+
+    Parameters
+    ----------
+    run : Run
+        Run with the scene.
+    table : Table
+        A quantity in each row: name, description, value and unit.
     """
     requested_names = run.scene.quantities or ()
     requested_rows = [
@@ -490,7 +523,8 @@ def _quantity_text_tables_by_heading(run: Run[Any], table: Table) -> dict[str, T
 def blade_tables_by_heading(run: Run[Any], heading: str) -> dict[str, Table]:
     """Tabulate the vibration of each blade of a bladed disk (collective).
 
-    The table stands under ``heading``; without a disk the dict is empty.
+    The result is a dict with a single table, for the key ``heading``. Without a disk in the scene,
+    the dict is empty.
     """
     if run.scene.disk is None:
         return {}
@@ -502,7 +536,9 @@ def blade_tables_by_heading(run: Run[Any], heading: str) -> dict[str, Table]:
 def yield_natural_frequencies(
     frequencies_by_name: Mapping[str, np.ndarray],
 ) -> Iterator[tuple[str, str, str, np.ndarray]]:
-    """Yield natural frequencies, and load frequency over natural frequency, with units.
+    """Yield natural frequencies in rad/s and Hz, and ratios of the load frequency to them.
+
+    Used for tables of quantities.
 
     Parameters
     ----------
@@ -512,7 +548,8 @@ def yield_natural_frequencies(
     Yields
     ------
     name, words, unit : str
-        Name, description and unit: "omega_open" in rad/s, then "frequency_open" in Hz.
+        Name, description and unit. "omega_open" in rad/s is followed by the same frequency as
+        "frequency_open" in Hz. A ratio, for example "over_open", has the unit 1.
     value : ndarray
         Numbers in this unit.
     """
@@ -532,22 +569,25 @@ def select_printed_quantities(
 ) -> Table:
     """Select the quantities of a result's table to print.
 
-    Print the quantities in ``output.quantities`` of the scene. Without this key, print the default
-    quantities. Each frequency and each speed is printed in a single unit, the scene's.
-
-    If the first column is "name", each row is a quantity. Rows on the computation, such as
-    harmonics, follow :data:`DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY`. Rows with nan and the
-    column "name" are left out. If there is no column "name", each column may be a quantity. All
-    columns besides quantities stay.
+    The scene's key ``output.quantities`` chooses the quantities. Without this key, the default
+    quantities are printed. Each frequency and each speed is printed in a single unit, the scene's.
 
     Parameters
     ----------
     table : Table
-        All quantities.
+        Table with all quantities. If the first column is "name", each row is a quantity. Otherwise
+        the columns are quantities. Columns with anything else are all kept.
     scene : Scene
         Scene with the keys and units.
     table_kind_flag : ObservableTableFlag
         Flag for the kind of table; selects the default quantities.
+
+    Returns
+    -------
+    Table
+        Table to print. If each row is a quantity, the column "name" and rows with the value nan are
+        left out. Rows about the computation, for example the harmonic count, are printed as listed
+        in :data:`DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY`.
     """
     requested_names, default_names = (
         scene.quantities,
@@ -583,8 +623,9 @@ def select_printed_quantities(
 def _round_to_zero(table: Table) -> Table:
     """Replace rounding errors in a table by 0.
 
-    A value with a unit in :data:`SI_UNITS_OF_VALUES_ROUNDED_TO_ZERO` is a rounding error up to
-    1e-15 of this unit. Units come from the column "unit", or from headings, "gap [m]".
+    A value up to 1e-15, in a unit of :data:`SI_UNITS_OF_VALUES_ROUNDED_TO_ZERO`, is a rounding
+    error. The units are in the column "unit". In a table without this column, the units are in the
+    headings: "gap [m]".
     """
     column_units = [heading.partition("[")[2].rstrip("]") for heading in table.columns]
     unit_column_index = table.columns.index("unit") if "unit" in table.columns else None
@@ -624,9 +665,17 @@ def make_printed_table(report: Report) -> Table:
 def _is_in_unused_unit(name: str, unit: str, scene: Scene) -> bool:
     """Return True for a frequency or speed in a unit not used in the scene.
 
-    Frequencies [rad/s] are named "omega", frequencies [Hz] "frequency". Speeds [rad/s] are named
-    "speed", speeds [1/min] "rpm". The scene uses a single unit for frequencies, and a single unit
-    for speeds.
+    A scene uses a single unit for frequencies, rad/s or Hz. For speeds the unit is rad/s or rpm.
+
+    Parameters
+    ----------
+    name : str
+        Quantity: "omega..." or "frequency..." for a frequency, "speed" [rad/s] or "rpm" for a
+        speed. Any other name gives False.
+    unit : str
+        Unit of the quantity.
+    scene : Scene
+        Scene with the units.
     """
     unused_name_prefix, unused_unit = (
         ("omega", "rad/s") if scene.is_frequency_in_hertz else ("frequency", "Hz")
@@ -672,8 +721,14 @@ def tabulate_known_quantities_as_text(table: Table) -> Table:
 def _format_value(description: str, quantity_value: Any, unit: str) -> Any:
     """Return a quantity's value with unit as text.
 
-    A number becomes a percentage if the description begins with "relative". True and False become
-    "yes" and "no".
+    Parameters
+    ----------
+    description : str
+        Description of the quantity. After the first word "relative", a number becomes a percentage.
+    quantity_value
+        Number, text, True ("yes") or False ("no").
+    unit : str
+        SI unit; "-", "1" and "" are not printed.
     """
     is_finite_number = isinstance(quantity_value, float) and np.isfinite(quantity_value)
     if is_finite_number and unit in SI_UNITS_OF_VALUES_ROUNDED_TO_ZERO:

@@ -91,9 +91,9 @@ stopped by Ctrl-C; 1 a full disk, too little memory, or a fault of the program.
 def main(command_words: Sequence[str] | None = None) -> int:
     """Run a command of the program and return the exit code, equal on all ranks.
 
-    ``command_words`` are the words after the program's name; None: from the command line. Errors
-    are printed, not raised. SystemExit is raised only for --help and for words refused by the
-    parser.
+    Errors are printed, not raised. SystemExit is raised only for --help, and for words refused by
+    the parser. ``command_words`` are the words after the program's name. None: the words of the
+    command line.
     """
     gc.set_threshold(10_000)  # each search visits over 100,000 lasting objects: search less often
     atexit.register(gc.freeze)  # no search at exit: the system frees all memory
@@ -218,9 +218,10 @@ def _print_to_stderr(text: str, stream: TextIO | None = None) -> None:
 
 
 def _print_input_errors(input_errors: Sequence[InputError]) -> None:
-    """Print a line for each input error, with example lines for missing keys and tables.
+    """Print a line for each input error, and examples for missing keys and tables.
 
-    The example for a key ends the error's line; examples for tables follow all errors.
+    An error about a missing key ends with an example line for this key. Examples for missing tables
+    are printed after all errors.
     """
     example_blocks = []
     for input_error in input_errors:

@@ -50,8 +50,9 @@ def run_and_report_function(
     Parameters
     ----------
     package_function : callable
-        Function of a scene, or of the study in a file written by the command ``reduce``. Further
-        parameters receive command-line arguments, folder, MPI ranks and progress by name.
+        Function to run. The parameter ``scene`` receives the scene, or the study in a file of the
+        command ``reduce``. Further parameters receive command-line options, results folder, MPI
+        ranks and progress, by name.
     arguments, inputs, console : Namespace, CommandInputs, Console
         Arguments, inputs and output of the command.
 
@@ -67,8 +68,8 @@ def run_and_report_function(
 
     Notes
     -----
-    Ctrl-C is ignored while files are written. If Ctrl-C ended the computation, an earlier result
-    stays: the new files are named "..._interrupted".
+    Ctrl-C is ignored while files are written. If Ctrl-C ended the computation, an earlier result in
+    the folder is kept. The new files are then named "..._interrupted".
     """
     folder = inputs.results_folder
     if arguments.command == "curve" and inputs.scene.curve is None:
@@ -116,9 +117,9 @@ def run_and_report_function(
 
 
 def _save_result_of_all_ranks(result: Any, path: Path, console: Console) -> None:
-    """Save a result to a .h5 file, with all MPI ranks holding a part.
+    """Save a result to a .h5 file (collective).
 
-    For a run, the ranks are the run's; for any further kind of result, the console's.
+    A run is saved by the run's MPI ranks, any further kind of result by the console's.
     """
     result.save(path, **({} if isinstance(result, Run) else {"comm": console.comm}))
 
@@ -137,18 +138,18 @@ def write_and_print_report(
     report : Report
         Tables and sentences about the result.
     stem_path : Path
-        Path shared by all files, without the ending (.h5, .csv, .json, or a picture's).
+        Common path of all files to write, without the ending (.h5, .csv, .json, or a picture's).
     console : Console
         Output of the command.
     result
         Result to save as .h5; None if the .h5 file exists already.
     picture_format : str or None
-        Ending of pictures; None: draw none, and print the command for pictures.
+        Ending of pictures. None: no picture is drawn, and a command for pictures is printed.
 
     Returns
     -------
     Exit
-        0; 3 if not converged; 4 if the error is unknown or above the tolerance.
+        0 without doubts; 3 if not converged; 4 if the error is unknown or above the tolerance.
     """
     replacement_note = ""
     for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:
@@ -195,7 +196,7 @@ def print_report_sentences(report: Report, console: Console) -> Exit:
     Returns
     -------
     Exit
-        0; 3 if not converged; 4 if the error is unknown or above the tolerance.
+        0 without doubts; 3 if not converged; 4 if the error is unknown or above the tolerance.
     """
     console.print_notes(*report.notes)
     console.print_remarks(*report.remarks)
@@ -366,8 +367,9 @@ def _convert_arrivals_to_measurements(
 def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
     """Run the command ``identify``: find a crack from measurements.
 
-    Writes the posterior and a picture, the fit, and proposed places to measure next. Returns the
-    exit code: not converged if the identification has doubts.
+    Writes four kinds of results: the posterior (probability distribution of the unknowns), a
+    picture, the fit, and proposed places to measure next. Returns the exit code. If the
+    identification has doubts, this is the code for missing convergence.
     """
     from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
     from fenics_crack.monitoring.identification import identify as search_module  # SciPy

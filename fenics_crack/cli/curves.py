@@ -119,10 +119,11 @@ def _yield_curve_notes(run: Run[ResponseCurve], n_hidden_special_points: int) ->
 
 
 def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
-    """State that the curve's largest response is unstable or irregular (collective).
+    """Return a remark if a curve's largest response is unstable or irregular (collective).
 
-    The text adds the motion reached in a test instead. The text is empty if the verdict is stable
-    or undecided, if there is none, or if the curve ended early at this point.
+    The remark describes the motions after a small disturbance of this response. The text is empty
+    if the response is stable, undecided or not assessed. The text is also empty if the curve ended
+    early at this point, without a peak.
     """
     curve = run.result
     peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
@@ -137,15 +138,16 @@ def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
 
 
 def _is_before_early_end(curve: ResponseCurve, point_index: int) -> bool:
-    """Return False for the last point of a curve that ended early, otherwise True.
+    """Return True unless a curve ended early at this point.
 
-    The curve's largest value at this last point need not be a peak.
+    Used for the point with the largest response: an early end need not be a peak. ``point_index``
+    is the point's index along the curve.
     """
     return bool(curve.complete) or point_index < len(curve) - 1
 
 
 def _format_parameters(run: Run[ResponseCurve], *parameter_values: float) -> str:
-    """Return values of the curve's parameter with unit: "50.1 and 50.3 Hz"."""
+    """Return values of the curve's parameter with unit as text: "50.1 and 50.3 Hz"."""
     return format_in_unit(
         axis_factor_name_and_unit(run.result.parameter, run.scene.is_frequency_in_hertz),
         *parameter_values,
@@ -252,10 +254,17 @@ def _find_undecided_index_ranges(curve: ResponseCurve) -> list[tuple[int, int]]:
 def tabulate_curve_points(
     run: Run[ResponseCurve], columns_by_heading: ColumnsByHeading | None = None
 ) -> Table:
-    """Tabulate a curve's points: parameter, harmonics, stability and crack indicators.
+    """Tabulate all points of a curve.
 
-    ``columns_by_heading`` has the indicators (n_points,) of point and crack faces by heading; None:
-    computed here.
+    The columns are parameter, harmonics and stability, then indicators of motion and contact.
+
+    Parameters
+    ----------
+    run : Run
+        Run with the curve.
+    columns_by_heading : dict of str to (n_points,), optional
+        Indicators at the points by column heading, from :func:`_motion_indicators_by_heading`.
+        None: computed here.
     """
     quantity_names = [name for name in run.result.to_dict() if name not in OBSERVABLES_BY_NAME]
     table = run.result.table(*quantity_names)
@@ -278,8 +287,15 @@ def tabulate_special_points(
     """Tabulate a curve's ends, largest response, bifurcations and changes of stability.
 
     The largest response is the first watched dof's. A curve over the load frequency has columns in
-    rad/s and in Hz; a run-up also has the speed, in rad/s and rpm. ``columns_by_heading`` are the
-    indicators (n_points,) by heading; None: computed here.
+    rad/s and in Hz. A run-up also has the rotor speed, in rad/s and rpm.
+
+    Parameters
+    ----------
+    run : Run
+        Run with the curve.
+    columns_by_heading : dict of str to (n_points,), optional
+        Indicators at the points by column heading, from :func:`_motion_indicators_by_heading`.
+        None: computed here.
     """
     curve = run.result
     columns_by_heading = _parameter_columns_by_heading(curve) | (
@@ -321,18 +337,20 @@ def tabulate_special_points(
 def _interpolate_peak_columns(
     run: Run[ResponseCurve], peak: LargestResponse, columns_by_heading: ColumnsByHeading
 ) -> ColumnsByHeading:
-    """Return columns (1,) at the largest response of the first watched dof, by heading.
+    """Return a table row at the largest response: arrays (1,) by column heading.
+
+    The peak of the response lies between curve points. The curve's parameter, and ratios of load
+    frequency to natural frequency, are interpolated linearly. The amplitude is the peak's. All
+    further columns have the values at the curve point nearest to the peak.
 
     Parameters
     ----------
     run : Run
         Run with the curve.
     peak : LargestResponse
-        Largest response, between two points.
+        Largest response of the first watched dof.
     columns_by_heading : dict of str to (n_points,)
-        Columns at all points. The parameter, and load frequency over natural frequency, are
-        interpolated linearly. The amplitude is the peak's. All further columns are taken at the
-        point nearest to the peak.
+        Columns at all curve points.
     """
     neighbour_slice = slice(max(peak.index - 1, 0), peak.index + 2)
     parameter_sorting = np.argsort(run.result.values[neighbour_slice])
@@ -414,11 +432,18 @@ def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table
 def _motion_indicators_by_heading(
     run: Run[ResponseCurve], curve: ResponseCurve
 ) -> ColumnsByHeading:
-    """Return columns (n_points,) with indicators of motion and contact, by heading with unit.
+    """Return indicators of motion and contact at a curve's points, by column heading.
 
-    Indicators are amplitudes, harmonic ratios, opening and further quantities. The last columns are
-    natural frequencies of the mode nearest to the load. ``curve`` is the run's curve, or a part
-    with fewer points.
+    Indicators are amplitudes, harmonic ratios, crack opening and further quantities. The last
+    columns have the natural frequencies of the mode nearest to the load frequency. Each column is
+    (n_points,); the heading has the unit.
+
+    Parameters
+    ----------
+    run : Run
+        Run with the structure and the watched dofs.
+    curve : ResponseCurve
+        The run's curve, or a curve with a selection from the run's points.
     """
     columns_by_heading = {
         heading_with_unit(observation.column_name, observation.unit): observation.value
@@ -436,9 +461,9 @@ def _solve_natural_frequencies(
 ) -> BilinearFrequencies:
     """Compute a structure's natural frequencies, for each point of a run-up.
 
-    The structure of a run-up depends on the rotor speed W, proportional to the load frequency. The
-    squares of natural frequencies are computed at up to nine speeds, and interpolated linearly in
-    W^2.
+    In a run-up, the structure depends on the rotor speed W, and W is proportional to the load
+    frequency. Natural frequencies are computed at up to nine speeds. Between these speeds, the
+    squares are interpolated linearly in W^2.
 
     Parameters
     ----------

@@ -81,13 +81,14 @@ def run_and_yield_checks(
 ) -> Iterator[tuple[str, str, bool]]:
     """Run checks in order, and yield the result of each.
 
-    A check fails by an exception, or by a warning of the program. If an earlier check had the same
-    fault, the text is "same fault as above".
+    A check fails by an exception, or by a warning from the program. If an earlier check had the
+    same fault, the text is "same fault as above".
 
     Parameters
     ----------
     checks_by_name : dict of str to callable
-        Functions to check something, and to return versions or errors in words.
+        Functions by name. Each checks a part of the installation, and returns a text with versions
+        or numerical errors.
 
     Yields
     ------
@@ -222,9 +223,9 @@ def _check_picture_libraries() -> str:
 
 
 def _check_two_masses() -> str:
-    """Compute two masses at stops, and compare the gaps' extrema with known values.
+    """Compute two masses hitting stops, and compare the gaps' extrema with known values.
 
-    Returns the relative error in words; raises ArithmeticError above 1e-3.
+    Returns the relative error in words. Raises ArithmeticError for an error above 1e-3.
     """
     import numpy as np
 
@@ -246,10 +247,11 @@ def _check_two_masses() -> str:
 
 
 def _check_plate() -> str:
-    """Compare a plate's frequency with a bar's, and its vibration by two solvers.
+    """Check a plate's natural frequency and a cracked plate's vibration.
 
-    Returns both relative errors in words. Raises ArithmeticError for a frequency error above 1e-5,
-    or a difference between the solvers above 1e-8.
+    The natural frequency is compared with the exact frequency of a bar. The vibration is computed
+    by two solvers. Returns both relative differences in words. Raises ArithmeticError if the first
+    is above 1e-5, or the second above 1e-8.
     """
     import numpy as np
 
@@ -280,7 +282,11 @@ def _check_plate() -> str:
 
 
 def _describe_error_or_raise(quantity_name: str, relative_error: float, tolerance: float) -> str:
-    """Return a quantity's relative error in words; raise ArithmeticError above ``tolerance``."""
+    """Return a text with a quantity's relative error.
+
+    ``quantity_name`` is the quantity in words. ArithmeticError is raised if ``relative_error`` is
+    above ``tolerance``.
+    """
     error_text = f"{quantity_name}: relative error {relative_error:.0e}"
     if not relative_error <= tolerance:
         raise ArithmeticError(

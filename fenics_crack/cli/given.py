@@ -78,13 +78,14 @@ class CommandInputs:
     measurements : Measurements or None
         Measurements for ``identify``.
     arrival_source : dict of ArrivalTimes, Path or None
-        Measured arrivals by blade number, or the path to a result for computed arrivals.
+        Blade tip arrivals measured, by blade number. Or the path to a result, to compute arrivals
+        from.
     uncracked_arrival_source : dict of ArrivalTimes, Path or None
         The same for the blade before the crack.
     speeds : (n_speeds,) [rad/s] or None
-        Speeds of a Campbell diagram; None for other commands.
+        Speeds of a Campbell diagram; None for any command but ``campbell``.
     prepared_study : Study or None
-        Study from a file of ``reduce``; None: the scene must be meshed.
+        Study from a file of ``reduce``. None: the scene must be meshed.
     """
 
     scene: Scene
@@ -483,9 +484,15 @@ class Console:
     def report_stage(self, stage_name: str, *, has_bars: bool = False) -> Iterator[None]:
         """Print the progress of the code in a ``with`` block, and the duration if verbose.
 
-        ``stage_name`` is the printed name. If the code shows progress bars, ``has_bars`` is True:
-        then, or if quiet, no progress is printed. Without a terminal, a message appears every few
-        seconds.
+        Without a terminal, a message is printed every few seconds.
+
+        Parameters
+        ----------
+        stage_name : str
+            Printed name of the stage.
+        has_bars : bool
+            True if the code in the block shows progress bars. No further progress is printed while
+            bars are shown.
         """
         start_time = time.perf_counter()
         is_silent = self.is_quiet or (has_bars and self.shows_progress)
@@ -546,26 +553,27 @@ def make_writable_folder(folder: Path, comm: MPI.Comm) -> None:
 def keep_previous_files_with_note(
     table_path: Path, table_text: str, comm: MPI.Comm, *other_result_file_stems: str
 ) -> str:
-    """Keep the files of the previous result in the folder ``before`` (collective).
+    """Keep the previous result's files in the folder ``before`` (collective).
 
-    The folder keeps a single previous result. Nothing is kept if the previous table has the same
-    text.
+    The folder keeps a single previous result. If previous and new table have the same text, nothing
+    is kept.
 
     Parameters
     ----------
     table_path : Path
-        Table of the previous result. All result files with this stem are kept.
+        Path of the table, previous and new. All result files with the same stem (name without
+        ending) are kept.
     table_text : str
         Text of the new table.
     comm : MPI.Comm
         MPI ranks; rank 0 keeps the files.
-    other_stems : str
-        Further names, without ending, of files to keep.
+    other_result_file_stems : str
+        Further stems of files to keep.
 
     Returns
     -------
     str
-        Note on the kept files, or why none was kept; empty without previous files.
+        Note on the kept files, or why keeping has failed. Empty if nothing was to be kept.
     """
     from fenics_crack.basics.ranks import on_root  # PETSc
 
@@ -677,7 +685,7 @@ def build_scene_text(
     Parameters
     ----------
     scene_name, measurements_name : str
-        Names of files, mentioned in the text.
+        File names of scene and measurements, for commands in the comments.
     combinable_options : collection of str
         Options of the command ``new``, from :data:`COMBINABLE_NEW_SCENE_OPTIONS`. Each adds lines
         to the scene.
@@ -704,9 +712,16 @@ def build_scene_text(
 def find_example_line(key: str, requirement_text: str) -> str:
     """Return an example line for a scene key, to print below an error; "" without an example.
 
-    The line, such as "young = 2.1e11", is from a template of ``new``. ``requirement_text`` is the
-    text after "must be" in the error message. If this text names other keys of the same table, and
-    no template has the key itself, the example may be for one of those keys.
+    The line, for example "young = 2.1e11", comes from a template of the command ``new``. If no
+    template has the key, the example is for another key proposed in the error.
+
+    Parameters
+    ----------
+    key : str
+        Key with table: "material.young".
+    requirement_text : str
+        Text of the error after "must be". Keys of the same table in this text may be used for the
+        example.
     """
     table_name, _, key_name = key.partition(".")
     key_names = key_name, *re.findall(rf"\b{re.escape(table_name)}\.(\w+)", requirement_text)
@@ -727,15 +742,19 @@ def find_example_line(key: str, requirement_text: str) -> str:
 
 
 def find_example_table_text(table_name: str) -> str:
-    """Return the lines of a scene table, from the first template with this table; else ""."""
+    """Return example lines for a scene table; "" without an example.
+
+    The lines come from the first template with this table, among the templates of the command
+    ``new``.
+    """
     return "\n".join(next(_yield_table_lines(table_name), ()))
 
 
 def _yield_table_lines(table_name: str) -> Iterator[list[str]]:
-    """Yield the lines of a scene table, once for each place in the templates.
+    """Yield the lines of a scene table, each time a template has this table.
 
-    If the template has the table as a comment, the comment marks are removed. Marks for options of
-    the command ``new``, for example ``(--blade)``, are removed, too.
+    Templates are the scenes of the command ``new``. If a table is commented out, the comment marks
+    are removed. A mark for an option of ``new``, for example ``(--blade)``, is removed, too.
     """
     scene_template_texts = map(
         read_packaged_text,
@@ -766,13 +785,14 @@ def _yield_table_lines(table_name: str) -> Iterator[list[str]]:
 
 
 def _remove_option_mark(line: str) -> str:
+    """Return a template line without a mark for an option at the end, ``(--blade)``."""
     return re.sub(r"\s+(# )?\(--\w+\)$", "", line)
 
 
 def _toggle_comment(line: str) -> str:
-    """Remove the comment mark of a template line, or add a missing mark.
+    """Return a template line with the comment mark "# " removed or, if missing, added.
 
-    A remark at the line's end keeps the column.
+    A remark at the end of the line stays in the same column.
     """
     if line.startswith("# "):
         return line.removeprefix("# ").replace("  #", "    #", 1)

@@ -18,23 +18,24 @@ from fenics_crack.files.store import StoredFile
 class ResultKind(NamedTuple):
     """Name files, heading and functions for a kind of result.
 
-    Functions are paths, "folder.file:function", loaded when needed.
+    Functions are given as texts "folder.file:function", and imported when needed.
 
     Attributes
     ----------
     file_stem : str
         Name of the files without ending: "curve" for curve.h5.
     page_heading : str
-        Heading in a report.
+        Heading on the report page.
     report_function_path : str
         Function to build a :class:`Report` from a result.
     reader_function_path : str
         Function to build a result from a :class:`StoredFile`.
     drawing_function_path : str
-        Function to draw a result: all pictures into ``picture_files``, a :class:`PictureFiles`;
-        with a ``caption``, a single picture to ``path``.
+        Function to draw a result. If ``caption`` is empty, the function draws any number of
+        pictures, and has the parameter ``picture_files``, a :class:`PictureFiles`. Otherwise the
+        function draws a single picture, and has the parameter ``path``.
     caption : str
-        Sentence below the only picture; empty for any number of pictures.
+        Sentence below the only picture; empty if the function draws any number of pictures.
     """
 
     file_stem: str

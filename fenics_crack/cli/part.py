@@ -56,19 +56,20 @@ class _PartSurface:
     def find_end_face_index(self, axis: int, *, at_top: bool) -> int:
         """Find the largest face at an end of the part along a coordinate axis.
 
+        A face counts as at the end if no face center lies further out, by more than 0.1 % of the
+        part's length.
+
         Parameters
         ----------
         axis : int
             Coordinate axis, 0 to 2.
         at_top : bool
-            True for the end with the highest coordinate, False for the lowest. A face is at this
-            end if the entry in ``face_center_points`` is within 0.1 % of the part's length from the
-            extreme entry.
+            True for the end with the highest coordinate, False for the lowest.
 
         Returns
         -------
         int
-            Index in ``face_numbers_largest_first``.
+            Index in ``face_numbers_largest_first`` and ``face_center_points``.
         """
         point_heights = self.face_center_points[:, axis]
         height_tolerance = 1e-3 * float(np.ptp(self.triangle_corner_points[..., axis]))
@@ -81,9 +82,10 @@ class _PartSurface:
 
 
 def _read_part_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
-    """Read the triangles of a CAD part, and measure all faces.
+    """Read the triangles of a CAD part, and compute area, normals and center of all faces.
 
-    ``length_unit`` "mm" holds for files without a unit; None: the file has the unit.
+    ``part_path`` is the CAD file. ``length_unit`` is "mm" for a file format without units; None:
+    the file states the unit.
     """
     arrays_by_name = read_part_triangles_and_owners(str(part_path), length_unit)
     triangle_corner_points, face_numbers = arrays_by_name["triangles"], arrays_by_name["owners"]
@@ -118,18 +120,28 @@ def _read_part_surface(part_path: Path, length_unit: str | None) -> _PartSurface
 
 
 def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Propose a crack on the largest face along the part's longest axis.
+    """Propose a crack's start on a part, along the longest axis.
 
-    All normals of this face differ by more than 45 degrees from coordinate ``axis``, 0 to 2. The
-    crack is at :data:`PROPOSED_CRACK_HEIGHT_FRACTION`, 0.2, of the length above the clamped end.
+    The crack is on the largest face along this axis: all normals of this face differ by more than
+    45 degrees from the axis. Without a face like this, the largest face is taken. The clamped end
+    is the lowest. The crack's height above this end is :data:`PROPOSED_CRACK_HEIGHT_FRACTION`, 0.2,
+    of the part's length.
+
+    Parameters
+    ----------
+    part_surface : _PartSurface
+        Surface of the part.
+    axis : int
+        Coordinate axis, 0 to 2, with the part's largest length.
 
     Returns
     -------
     crack_point : (3,) [m]
+        Point on the face.
     face_normal : (3,)
-        Outward normal at the point.
+        Outward unit normal at the point.
     part_depth : float [m]
-        Distance through the part along the inward normal.
+        Distance from the point to the opposite side of the part, along the inward normal.
     """
     axis_direction = np.eye(3)[axis]
     bottom_height = part_surface.triangle_corner_points[..., axis].min()
@@ -230,5 +242,5 @@ def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str
 
 
 def _format_vector_as_toml(components: np.ndarray | list[float]) -> str:
-    """Write a vector as a TOML list, each component with six digits."""
+    """Return a vector as a TOML list: "[0.1, 0.0, 0.02]", six digits for each component."""
     return json.dumps([float(f"{round(component, 9):.6g}") + 0.0 for component in components])

@@ -64,10 +64,18 @@ NO_MESH_NOTE = "the structure has no mesh: pictures of a mesh are left out"
 def draw_scene_mesh(
     scene: Scene, folder: Path, structure: Structure | None = None, file_format: str = "png"
 ) -> Path:
-    """Draw the mesh of a scene into mesh.png, and return the picture's path.
+    """Draw the mesh of a scene, and return the picture's path.
 
-    ``structure`` is the scene's structure with a mesh; None: mesh the scene. With ``file_format``
-    "pdf" or "svg" the picture has this ending instead.
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the mesh.
+    folder : Path
+        Folder for the picture, named mesh.png.
+    structure : Structure, optional
+        The scene's structure with a mesh. None: the scene is meshed here.
+    file_format : str
+        Ending of the picture: "png", "pdf" or "svg".
     """
     picture_path = folder / f"mesh.{file_format}"
     structure = structure or prepare(scene, MPI.COMM_SELF, whole=True).structure
@@ -146,9 +154,10 @@ def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> No
 def _draw_contact_map_and_animation(
     run: Run[PeriodicSolution], picture_files: PictureFiles
 ) -> None:
-    """Draw contact along the crack over a period, and animate the mesh.
+    """Draw contact along the crack over a period, and an animation of the vibrating mesh.
 
-    With ParaView's files requested, also write the frames of a period.
+    If files for ParaView are requested, the moving mesh is also written to files, over a period. A
+    single contact pair has no picture of contact along the crack.
     """
     from fenics_crack.draw.animation import animate_period  # VTK
 
@@ -173,7 +182,10 @@ def _draw_contact_map_and_animation(
 
 
 def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
-    """Draw a motion in time: waveforms, and stress intensities if possible."""
+    """Draw a motion in time: waveforms, and stress intensities at crack tips.
+
+    Stress intensities are left out in the cases named in :func:`_draw_stress_intensity`.
+    """
     integration_table = run.scene.integration
     load_omega = run.scene.excitation.omega
     period_omega = None
@@ -380,12 +392,13 @@ def _compute_linear_response(
 
 
 def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
-    """Draw the quantities of a sweep over one or two axes.
+    """Draw a sweep's quantities over one or two axes.
 
-    The horizontal axis is the load frequency; if not swept, the longest axis. The second axis is
-    the next longest. Up to 6 values on the second axis are lines; from 4 values on, a map is drawn.
-    Each combination of values on further axes has separate pictures, for the first 12 combinations.
-    Raises InputError if no axis has two numbers, or no case has converged.
+    The horizontal axis is the load frequency. If this is not swept, the axis with most values is
+    horizontal. The second axis is the next with most values. All further axes are fixed in a
+    picture. Each combination of fixed values has a separate picture, for the first 12 combinations.
+    For lines and maps see :func:`draw_swept_quantity`. Raises InputError if no axis has two
+    numbers, or no case has converged.
     """
     drawn_axis_indices = _select_drawn_axis_indices(sweep_result)
     drawn_axes = [sweep_result.axes[axis_index] for axis_index in drawn_axis_indices]
@@ -476,15 +489,16 @@ def draw_swept_quantity(
 ) -> None:
     """Draw a sweep's quantity over one or two axes: lines, a map, or both.
 
-    Up to 6 values on the second axis give lines; a map needs 4 or more values on both axes, or more
-    than 6 on the second.
+    Up to 6 values on the second axis give a line each. More than 6 values give a map instead. With
+    at least 4 values on both axes, a map is always drawn.
 
     Parameters
     ----------
     axes : sequence of Axis
         Horizontal axis, and second axis if there are two.
     values, is_doubtful : (n_x, n_y)
-        Values, and True for a large error or a case that is not stable; n_y is 1 with one axis.
+        Values, and True for a case with a large error or without a stable verdict. n_x and n_y are
+        the numbers of values on the axes; n_y is 1 for a single axis.
     quantity_name_and_unit : (str, str)
         Name and unit of the quantity.
     picture_files : PictureFiles
@@ -492,7 +506,7 @@ def draw_swept_quantity(
     file_stem : str
         Name of the pictures without ending.
     fixed_texts : sequence of str
-        Names and values on all other axes, for the title.
+        Names and values on all fixed axes, for the title.
     """
     axis_arrays = [np.array(axis.values, dtype=float) for axis in axes]
     sorting_indices = [np.argsort(axis_array) for axis_array in axis_arrays]

@@ -439,7 +439,10 @@ def _format_value(key: str, value: object) -> str:
 
 
 def _tabulate_versions(stored_files: Sequence[StoredFile]) -> Table:
-    """Tabulate the versions of program and libraries behind each file and the page."""
+    """Tabulate the versions of program and libraries, for each file and for the report page.
+
+    For a file, the versions at the time of writing; for the page, the present versions.
+    """
     version_rows = []
     for stored_file in stored_files:
         file_versions_text = (

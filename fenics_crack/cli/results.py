@@ -38,7 +38,10 @@ QuantityRow = tuple[str, str, object, str]
 
 
 def report_of_modes(run: Run[Modes]) -> Report:
-    """Build the report of natural frequencies with the crack open, with mesh errors if known."""
+    """Build the report of natural frequencies with the crack open.
+
+    If errors are known, the table has a column for them.
+    """
     table = run.result.table()
     frequency_names = [
         natural_frequency_name(run.scene, "open", mode_number)
@@ -78,7 +81,11 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
 
 
 def _yield_solution_notes(run: Run[PeriodicSolution]) -> Iterator[str]:
-    """Yield notes on harmonics without damping, omitted harmonics, and unknown stability."""
+    """Yield notes on a steady vibration; a note may be empty.
+
+    Notes are about harmonics above all damped modes, a large harmonic left out in the solution, and
+    a stability not assessed.
+    """
     solution, scene = run.result, run.scene
     yield account.describe_undamped_harmonics(run.structure, highest_harmonic_omega(scene, "solve"))
     if not solution.converged:
@@ -131,8 +138,8 @@ def _yield_solution_warnings(
 def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
     """Tabulate stress intensities along the crack fronts of a solid (collective).
 
-    The result is a table by heading; empty in two dimensions, or if the scene requests no stress
-    intensities at tips.
+    The result is a dict with a single table by heading. The dict is empty in two dimensions, or if
+    the scene requests no stress intensities at crack tips.
     """
     places_of_requested_quantities = [
         OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(run.scene)
@@ -156,16 +163,16 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
 
 
 def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
-    """Collect quantities for a solution in doubt, by quantity name.
+    """Collect reasons to doubt a solution, for the table of quantities, by name.
 
     Returns
     -------
     dict
         "unknown_error": reason why the error is unknown. "remarks": unusual values in the scene.
-        "from_rest": outcome of a motion from rest, unless the motion settles to the solution.
+        "from_rest": outcome of a motion started at rest, unless the motion settles to the solution.
         "rest_amplitude": half the peak-to-peak displacement [m] after this motion has settled.
-        Empty texts, zeros and nan are left out. "total_error" and "displacement_error" are nan, and
-        exist only if the error is unknown.
+        Empty texts, zeros and nan are left out. If the error is unknown, "total_error" and
+        "displacement_error" are nan; otherwise both are missing.
     """
     stability = run.result.stability
     doubts_by_name: dict[str, object] = {
@@ -188,7 +195,7 @@ def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
 def report_of_history(run: Run[TimeHistory]) -> Report:
     """Build the report of a motion in time, and warn if not settled (collective).
 
-    A settled motion changes over the last period by at most ``integration.settle``.
+    A settled motion changes over the last period by at most ``integration.settle``, relative.
     """
     history, scene = run.result, run.scene
     table = _tabulate_quantities(
@@ -304,14 +311,14 @@ def _tabulate_quantities(
 def _find_error_and_cause(run: Run[Any], quantity_name: str) -> tuple[float, str]:
     """Return a quantity's stated error, and the main cause.
 
-    A natural frequency has the error of the mode nearest to the load.
+    For natural frequencies of the mode nearest to the load, the error is this mode's.
 
     Returns
     -------
     error_percent : float [%]
-        At least 0.001; nan if the error is unknown, or as large as the value.
+        Relative error, at least 0.001 %. nan if the error is unknown, or as large as the quantity.
     cause_text : str
-        Main cause, and causes not included in the error. Empty without both.
+        Main cause of the error, then causes not included in the error. Empty without both.
     """
     assert run.stated is not None
     frequency_kind = quantity_name.rpartition("_")[2]

@@ -52,7 +52,7 @@ from fenics_crack.study.solve import candidate_mode_counts
 
 
 def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: Console) -> None:
-    """Run the command ``check``: mesh a scene, and print key figures.
+    """Run the command ``check``: mesh a scene, and print key figures before any solution.
 
     Key figures are sizes, natural frequencies, the resonance at the load, contact, and memory;
     remarks follow. Raises InputError if the memory does not suffice.
@@ -136,7 +136,11 @@ def make_missing_curve_error(scene: Scene, console: Console) -> InputError:
 
 
 def _mesh_extents_by_label(key_figures: PreSolutionKeyFigures) -> dict[str, object]:
-    """Return the mesh's side lengths [m] in a text, by label: "width x height [m]"."""
+    """Return the side lengths of the mesh as a line to print.
+
+    The dict has a single entry. In three dimensions the label is "width x height x thickness [m]",
+    and the value "0.02 x 0.1 x 0.004".
+    """
     side_names = ("width", "height", "thickness")[: len(key_figures.mesh_extents)]
     return {
         " x ".join(side_names) + " [m]": " x ".join(
@@ -146,9 +150,9 @@ def _mesh_extents_by_label(key_figures: PreSolutionKeyFigures) -> dict[str, obje
 
 
 def _cad_part_texts_by_label(scene: Scene, structure: Structure) -> dict[str, str]:
-    """Return texts about a CAD part's faces and crack fronts, by label.
+    """Return texts about a CAD part's faces and crack fronts, by printed label.
 
-    Empty for scenes without a CAD part.
+    The dict is empty for scenes without a CAD part.
     """
     if scene.geometry is None or scene.geometry.file is None:
         return {}
@@ -200,10 +204,11 @@ def _frequencies_by_label(scene: Scene, key_figures: PreSolutionKeyFigures) -> d
 
 
 def _mesh_error_texts_by_label(mesh_errors: Verification) -> dict[str, str | None]:
-    """Return the errors of frequencies due to the mesh as texts, by label.
+    """Return errors due to the mesh as texts, by printed label.
 
-    If the errors are unknown, the text has the reason. Without a resonance, the resonance's error
-    is None. The dict is empty for given matrices, without a mesh.
+    Errors are of the first natural frequencies, and of the resonance at the load. The resonance's
+    error is None if no resonance is known. If the errors are unknown, the only text has the reason.
+    For given matrices, without a mesh, the dict is empty.
     """
     if mesh_errors.scene.structure is not None:
         return {}
@@ -328,7 +333,11 @@ def _crack_and_contact_values_by_label(
 def _curve_values_by_label(
     curve_table: Curve | None, proposed_curve_table: Curve | None
 ) -> dict[str, object]:
-    """Return the scene's curve and a proposed curve by printed label."""
+    """Return the scene's curve and a proposed curve by printed label.
+
+    ``curve_table`` is the scene's table [curve], or None. ``proposed_curve_table`` is a table
+    proposed by the program, or None. The values are parameter, start and stop.
+    """
     values_by_label: dict[str, object] = {}
     if curve_table is not None:
         range_text = f"{curve_table.start:g} to {curve_table.stop:g}"
@@ -344,9 +353,10 @@ def _curve_values_by_label(
 
 
 def _sweep_values_by_label(scene: Scene, console: Console) -> dict[str, object]:
-    """Return axes, cases and invalid cases of the scene's sweep by printed label (collective).
+    """Return values about the scene's sweep by printed label (collective).
 
-    Empty without a sweep.
+    The values are the axes, the number of cases, and a text about invalid cases. The dict is empty
+    without a sweep.
     """
     if scene.sweep is None:
         return {}
@@ -358,7 +368,11 @@ def _sweep_values_by_label(scene: Scene, console: Console) -> dict[str, object]:
 
 
 def format_harmonic_count(scene: Scene) -> int | str:
-    """Return the number of harmonics; with a tolerance, "20 or more, until ..."."""
+    """Return the scene's number of harmonics, to print.
+
+    If the scene has a tolerance, the number may grow. The text is then "20 or more, until the error
+    is below ...".
+    """
     balance_table = scene.harmonic_balance
     if balance_table.tolerance is None:
         return balance_table.harmonics
@@ -412,11 +426,20 @@ def _describe_invalid_cases(scene: Scene) -> str:
 def _describe_harmonics_left_undamped(
     scene: Scene, structure: Structure, highest_omega: float
 ) -> str:
-    """Remark that harmonics lie above all damped modes, after the scene's reduction (collective).
+    """Return a remark if the highest harmonic lies above all modes with damping (collective).
 
-    ``highest_omega`` [rad/s] is the highest harmonic's frequency. A massless reduction damps all
-    further modes by the last damping ratio of the scene. If this ratio is above zero, the text is
-    empty. Otherwise see :func:`describe_undamped_harmonics`.
+    Unlike :func:`describe_undamped_harmonics`, this counts modes damped after the reduction. The
+    massless reduction gives all further modes the last damping ratio in the scene. If this ratio is
+    above zero, all modes are damped, and the text is empty.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with damping and reduction.
+    structure : Structure
+        Structure before the reduction.
+    highest_omega : float [rad/s]
+        Frequency of the highest harmonic.
     """
     scene_reduction = modal_reduction_or_none(scene, structure)
     scene_damping_ratios = None if scene.damping is None else scene.damping.ratio

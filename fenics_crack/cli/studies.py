@@ -32,7 +32,10 @@ ROTOR_SPEED_KEYS = ("rotation.speed", "rotation.rpm")
 
 
 def report_of_verification(verification: Verification) -> Report:
-    """Build the report of a convergence study: errors by cause, notes and warnings."""
+    """Build the report of a convergence study: errors by cause, notes and warnings.
+
+    Causes are mesh, modes and harmonics, for example.
+    """
     return Report(
         verification.table(),
         verification.build_conclusion(),
@@ -219,16 +222,16 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
 def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
     """Tabulate all cases of a small sweep, or the largest responses of a large sweep.
 
-    A sweep is small up to 8 cases (:data:`N_PRINTED_ROWS_OF_LONG_RESULT`). In a large sweep, the
-    largest response over the load frequency is found, for each combination of values on all further
-    axes. If the frequency is not swept, the longest axis is taken instead. The 8 largest responses
-    are kept.
+    A small sweep has up to 8 cases (:data:`N_PRINTED_ROWS_OF_LONG_RESULT`). In a large sweep, a
+    single axis is chosen: the load frequency or, if not swept, the axis with most values. For each
+    combination of values on all further axes, the case with the largest response along the chosen
+    axis is kept. If more than 8 cases are kept, only the 8 largest responses remain.
 
     Returns
     -------
     table : Table
-        Swept keys, quantities, state (pending, converged or failed) if any case has not converged,
-        and verdict on stability if known.
+        Columns: swept keys, quantities, and the verdict on stability if known. If a case has not
+        converged, also the state: pending, converged or failed.
     selection_text : str
         Selection of cases in words; empty if all cases are kept.
     """

@@ -160,19 +160,20 @@ def _fit_vibration_by_blade(
     Parameters
     ----------
     timing_table : TipTiming
-        Table ``[tip_timing]``.
+        Table ``[tip_timing]`` with settings of the fit.
     arrivals_by_blade : mapping of int to ArrivalTimes
         Arrivals by blade number.
     console : Console
         Output of the command.
     scene_and_run : Scene, Run
-        Scene, and the run used to compute the arrivals. Both may be missing.
+        Scene, then the run used to compute the arrivals, or None. Both are left out for a record
+        without a scene.
 
     Returns
     -------
     dict
-        By blade number: a fit at constant speed, a track over a run-up, or a tuple of resonances
-        passed.
+        Result by blade number. At constant speed: a fit. Over a run-up: a track of the vibration,
+        or a tuple of the resonances passed.
     """
     fits_by_blade = {}
     with console.report_stage("vibration"):

@@ -59,9 +59,9 @@ def pack_dataclass(instance: Any, *omitted_names: str) -> Datasets:
 
 
 def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
-    """Return a value as JSON text; its arrays are stored separately.
+    """Return a value as JSON text, and store arrays in the value separately.
 
-    In the text an array is replaced by its name. A scene is left out, together with its key.
+    In the text, an array is replaced by a dataset name. A scene is left out, together with its key.
 
     Parameters
     ----------
@@ -69,9 +69,9 @@ def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
         Dataclass, mapping, tuple, array, number, word or None. Dataclasses, mappings and tuples may
         contain each other.
     dataset_name : str
-        Field name; an array within the value is named "name.key" or "name.index".
+        Field name for this value. An array within the value is named "name.key" or "name.index".
     array_by_name : dict
-        Dict to which the arrays are added by name.
+        Output: arrays by dataset name are added to this dict.
     """
 
     def to_json_value(value: Any, dataset_name: str) -> Any:
@@ -100,9 +100,9 @@ def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
 
 
 def _is_array_without_words(value: Any) -> bool:
-    """Return True for a NumPy array without text, to be saved as an HDF5 dataset.
+    """Return True for a numeric NumPy array, and False for any other value.
 
-    Arrays with text are saved as JSON.
+    A numeric array is saved as an HDF5 dataset, an array with texts as JSON.
     """
     return isinstance(value, np.ndarray) and value.dtype.kind != "U"
 
@@ -113,23 +113,26 @@ def unpack_dataclass(
     scene: Scene | None = None,
     **other_fields: Any,
 ) -> DataclassType:
-    """Return a dataclass from datasets by field name; other datasets are ignored.
+    """Return a dataclass from datasets by field name.
+
+    Datasets with other names than the class's fields are ignored.
 
     Parameters
     ----------
     dataclass_type : type
-        The result's class.
+        Class to return.
     datasets : mapping
         Datasets by name.
     scene : Scene, optional
         Value for fields with the type Scene.
     **other_fields
-        Values for fields that are not among the datasets.
+        Field values by name, for fields without a dataset. A value given here is used even if a
+        dataset has the same name.
 
     Raises
     ------
-    ValueError, LookupError and others of :data:`DATASET_ERROR_CLASSES`
-        A dataset is missing, or does not fit its field.
+    ValueError, LookupError and others in :data:`DATASET_ERROR_CLASSES`
+        A dataset is missing, or does not fit the field's type.
     """
     instance: DataclassType = _DatasetReader(datasets, scene).build_dataclass(
         dataclass_type, datasets, other_fields
@@ -165,8 +168,14 @@ class _DatasetReader(NamedTuple):
     ) -> Any:
         """Return a dataclass from stored contents and known values, both by field name.
 
-        A known value is used unchanged, even with a stored content for the same field. Stored
-        contents are converted by :meth:`convert_value`.
+        Parameters
+        ----------
+        dataclass_type : type
+            Class to return.
+        stored_content_by_field : mapping
+            Datasets, or values from a JSON text. Each is converted by :meth:`convert_value`.
+        known_value_by_field : mapping
+            Final values. If a field also has a stored content, the known value is used.
         """
         field_value_by_name = dict(known_value_by_field)
         for field in fields(dataclass_type):
@@ -184,10 +193,10 @@ class _DatasetReader(NamedTuple):
             raise ValueError(str(error)) from None  # of the file, whose key is none of the scene's
 
     def convert_value(self, declared_type: Any, stored_content: Any, field_name: str) -> Any:
-        """Convert a stored content to the declared type of a field.
+        """Convert a stored content to a field's declared type.
 
-        ``stored_content`` is a dataset, or a part of a JSON text. ``field_name`` names the field in
-        the ValueError for a wrong type.
+        ``stored_content`` is a dataset, or a value from a JSON text. ``field_name`` names the field
+        in the ValueError for a wrong type.
         """
         generic_type, inner_types = get_origin(declared_type), get_args(declared_type)
         is_composed = (
@@ -238,10 +247,11 @@ class _DatasetReader(NamedTuple):
 
 
 def check_arrays(datasets: Mapping[str, Any]) -> None:
-    """Raise ValueError if a dataset's array has numbers that are too large, or the wrong kind.
+    """Raise ValueError if an array from a file has a wrong NumPy type or too large numbers.
 
-    The kind, such as whole numbers, must fit the field's name. Absolute values above
-    ``MAX_ALLOWED_MAGNITUDE`` are too large; nan is allowed.
+    Absolute values above ``MAX_ALLOWED_MAGNITUDE`` are too large; nan is allowed. Indices must be
+    whole numbers, for example, and flags must be True or False. ``datasets`` has arrays and other
+    values by field name; only arrays are checked.
     """
     for name, array in datasets.items():
         if isinstance(array, np.ndarray):

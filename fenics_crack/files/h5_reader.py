@@ -30,8 +30,19 @@ ALLOWED_DATASET_LAYOUTS = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNK
 def read(path: str, max_bytes: int) -> dict[str, np.ndarray]:
     """Return an HDF5 file's contents as arrays by name.
 
-    "head" is a JSON text with attributes, words, columns and array names. "arr_0", "arr_1", ... are
-    the arrays with these names, in order; they take at most ``max_bytes``.
+    Parameters
+    ----------
+    path : str
+        The file.
+    max_bytes : int [byte]
+        Maximum total size for all numbers.
+
+    Returns
+    -------
+    dict of str to array
+        "head": JSON text with the attributes, texts, array names and sweep columns, as in
+        :func:`read_contents_and_arrays`. "arr_0", "arr_1", ...: arrays, in the same order as the
+        array names.
     """
     with h5py.File(path, "r", locking=False) as file:
         contents, arrays = read_contents_and_arrays(file, os.path.getsize(path), max_bytes)
@@ -44,9 +55,10 @@ def read(path: str, max_bytes: int) -> dict[str, np.ndarray]:
 def read_contents_and_arrays(
     file: h5py.File, file_size: int, max_bytes: int
 ) -> tuple[dict, list[np.ndarray]]:
-    """Read an open file's contents.
+    """Read an open file's attributes, texts and arrays.
 
-    A sweep's numbers are not read, only their type, shape and offset.
+    A sweep's file is still being written. Instead of a dataset's numbers, the type, shape and
+    offset are read.
 
     Parameters
     ----------
@@ -58,15 +70,15 @@ def read_contents_and_arrays(
     Returns
     -------
     contents : dict
-        "attributes" and "words" (texts by name), and "arrays" (array names). For a sweep
-        "columns": each dataset's type, shape and offset [byte] by name.
+        "attributes" and "words": texts by name. "arrays": names for the returned arrays. "columns":
+        type, shape and offset [byte] by dataset name, for a sweep only.
     arrays : list of array
-        The arrays with numbers, in the same order; empty for a sweep.
+        Datasets with numbers, in the same order as these names; empty for a sweep.
 
     Raises
     ------
     ValueError
-        The file has other contents than results, or too many numbers.
+        The file has contents that no result has, or too many numbers.
     """
     if max(len(file), len(file.attrs)) > MAX_ENTRIES_IN_FILE:
         raise ValueError(f"it has more than {MAX_ENTRIES_IN_FILE} datasets or attributes")
@@ -121,10 +133,22 @@ def read_text_attributes(file_or_dataset: h5py.File | h5py.Dataset) -> dict[str,
 def open_checked_dataset(
     file: h5py.File, name: str, file_size: int, max_bytes: int
 ) -> h5py.Dataset:
-    """Open a dataset with numbers or words in the file itself.
+    """Open a dataset after checking that its data are in the file itself.
 
-    ValueError for a link, for data in another file, an unknown compression filter, or more data
-    than ``file_size`` or ``max_bytes`` allow.
+    Parameters
+    ----------
+    file : h5py.File
+        The open file.
+    name : str
+        Dataset name.
+    file_size, max_bytes : int [byte]
+        File size, and maximum data size.
+
+    Raises
+    ------
+    ValueError
+        The name is a link, the data are in another file, or the compression filter is unknown. Or
+        the data are larger than ``file_size`` or ``max_bytes`` allow.
     """
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"{name!r} is a link")

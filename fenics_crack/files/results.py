@@ -54,10 +54,11 @@ def save(
     watched: Mapping[str, np.ndarray] | None = None,
     errors: str | None = None,
 ) -> None:
-    """Write a result to an HDF5 file, with its scene if there is one (collective).
+    """Write a result to an HDF5 file, with the scene if given (collective).
 
-    The file of a solution holds gap and contact force, which determine the displacement. Modes are
-    written node by node. So neither file depends on the number of ranks.
+    The file can be read on any number of ranks. For a solution, it has gaps and contact forces;
+    :func:`load` computes the displacement from them. For modes, it has the mode shapes by mesh
+    node.
 
     Parameters
     ----------
@@ -66,11 +67,11 @@ def save(
     path : path
         The file; an older file is replaced once the new file is complete.
     scene : Scene, optional
-        Scene of the result.
+        The result's scene.
     watched : mapping of str to array, optional
         Watched dofs' motion [m] by name, for programs that read the file without the structure.
-        Fourier coefficients with H harmonics for a solution (2H+1,) or a curve (n, 2H+1), or
-        displacements at n instants (n,). ``load`` ignores this.
+        Fourier coefficients with H harmonics for a solution (2H+1,) or a curve with n points (n,
+        2H+1). Displacements at n instants for a time history (n,). ``load`` ignores this.
     errors : str, optional
         The result's estimated errors, as JSON text from ``Verification.to_json``.
         :func:`fenics_crack.load_run` reads it.
@@ -78,8 +79,8 @@ def save(
     Raises
     ------
     InputError
-        The file cannot be written, the modes have no mesh, or a time history is spread over
-        several ranks.
+        The file cannot be written, the modes have no mesh, or a time history is spread over several
+        ranks.
 
     Examples
     --------
@@ -103,16 +104,17 @@ def save(
 def load(path: str | Path, structure: Structure, contact: OptionalLaw = None) -> Result:
     """Read a result written by :func:`save`, without solving again (collective).
 
-    :func:`fenics_crack.load_run` reads a file with a scene without a structure at hand;
-    ``SweepResult.load`` reads a sweep.
+    To read a file with a scene, and without a structure at hand, use :func:`fenics_crack.load_run`.
+    To read a sweep, use ``SweepResult.load``.
 
     Parameters
     ----------
     path : path
         The file.
     structure, contact : Structure, ContactLaw or None
-        Structure and law of the result. For a curve, a structure with many dofs is reduced to
-        massless crack faces, as for the result. Modes and time histories need no law.
+        Structure and law with which the result was computed. Modes and time histories need no law.
+        For a curve, a structure with many dofs is reduced first, to a model without mass at the
+        crack faces.
 
     Returns
     -------
@@ -188,7 +190,10 @@ def result_class(stored_file: StoredFile) -> type[Result]:
 def _pack_modes(modes: Modes) -> Datasets:
     """Return modes as datasets by name (collective).
 
-    Mode shapes are by node; without a mesh, by the whole structure's dofs.
+    The datasets are "omega" [rad/s] (n_modes,), "nodes" and "shapes". "nodes" are from
+    :func:`_node_positions_and_mean_cell_midpoints`. "shapes" are displacements at the nodes:
+    (n_modes, n_nodes, dimension). For a structure without a mesh, "shapes" are (n_modes, n_dofs),
+    and "nodes" are missing.
     """
     whole_structure = modes.structure.whole
     if whole_structure.local_nodes_with_cells_or_none is None:
@@ -206,12 +211,12 @@ def _pack_modes(modes: Modes) -> Datasets:
 def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw = None) -> Modes:
     """Return modes from their datasets, on any number of ranks (collective).
 
-    ``contact`` is ignored.
+    ``contact`` is ignored; it is a parameter because curves and solutions need a law.
 
     Raises
     ------
     InputError
-        The structure has other nodes, or another number of dofs.
+        The structure has other nodes than the file, or another number of dofs.
     """
     omegas, stored_shapes, whole_structure = datasets["omega"], datasets["shapes"], structure.whole
     check_shapes(datasets, {"omega": (len(stored_shapes),)})
@@ -271,9 +276,11 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
 
 
 def _node_positions_and_mean_cell_midpoints(nodal_mesh: NodalMesh) -> np.ndarray:
-    """Return each node's position, and the mean midpoint of the cells around: (n, 2 d) [m].
+    """Return coordinates [m] to distinguish a mesh's nodes: (n_nodes, 2 d).
 
-    d is the dimension. Nodes at the same place on opposite crack faces differ in the midpoint.
+    d is the mesh's dimension. The first d columns are the node's position. The next d columns are
+    the mean midpoint of the cells with this node. Two nodes at the same position, on opposite crack
+    faces, differ in this midpoint.
     """
     midpoint_sums = np.zeros_like(nodal_mesh.points)
     n_cells_at_node = np.zeros((len(nodal_mesh.points), 1))
@@ -288,9 +295,10 @@ def _node_positions_and_mean_cell_midpoints(nodal_mesh: NodalMesh) -> np.ndarray
 
 
 def _pack_solution(solution: PeriodicSolution) -> Datasets:
-    """Return a solution as datasets by name: gaps, forces, errors, stability and law.
+    """Return a solution as datasets by name.
 
-    The displacement is left out, since it follows from the forces.
+    The datasets hold errors, stability, contact law, and Fourier coefficients for gaps and forces.
+    The displacement is left out, as :func:`rebuild_solution` computes it from the forces.
     """
     report_datasets = {
         f"error_{field_name}": report_value
@@ -332,24 +340,24 @@ def _unpack_solution(
 def rebuild_solution(
     datasets: Datasets, structure: Structure, contact: OptionalLaw
 ) -> PeriodicSolution:
-    """Rebuild a solution from gap and force coefficients (collective).
+    """Rebuild a solution from gap and force Fourier coefficients (collective).
 
-    The displacement follows from the forces by the structure's compliance.
+    The displacement is computed from the forces, with the structure's compliance.
 
     Parameters
     ----------
     datasets : dict
-        Fields of the solution without the displacement, and fields of the stability. Names in the
-        error report begin with "error" and an underscore. ``weight`` belongs to a unilateral
-        constraint.
+        The solution's fields except the displacement, and :class:`Stability` fields, by name. Error
+        report fields have the prefix "error" and an underscore. ``weight`` is for a
+        :class:`UnilateralConstraint`; other laws do not use it.
     structure, contact : Structure, ContactLaw or None
         The solution's structure and law.
 
     Raises
     ------
     InputError
-        The structure has another number of pairs. Or the displacement gives other gaps than the
-        file, for a converged solution.
+        The structure has more or fewer pairs than the datasets. Or a converged solution's computed
+        displacement gives other gaps than the datasets.
     ValueError
         The frequency is negative, or the subharmonic below 1.
     """
@@ -399,9 +407,9 @@ def rebuild_solution(
 
 
 def _check_n_pairs(n_pairs: int, pair_gaps: np.ndarray) -> None:
-    """Raise InputError unless the last axis of ``pair_gaps`` has ``n_pairs`` entries.
+    """Raise InputError unless gaps from a file fit the structure's number of pairs.
 
-    The gaps come from a file, the number of pairs from the structure.
+    The last axis of ``pair_gaps`` must have ``n_pairs`` entries.
     """
     if pair_gaps.shape[-1] != n_pairs:
         requirement_text = f"the structure of the file, with {pair_gaps.shape[-1]} pairs"
@@ -414,21 +422,22 @@ def _check_gap_coefficients(
     gap_coefficients: np.ndarray,
     tolerance: float,
 ) -> None:
-    """Raise InputError unless the displacement gives the file's gaps (collective).
+    """Raise InputError unless the displacement gives the gaps in the file (collective).
 
-    Both are Fourier coefficients with H harmonics.
+    Used to detect another structure than in the file. Gaps and displacement are Fourier
+    coefficients with H harmonics.
 
     Parameters
     ----------
     structure : Structure
-        Structure with the gaps' definition and clearances.
+        Structure to check; it defines the gaps and clearances.
     displacement_coefficients : (2H+1, n_local) [m]
-        Displacement computed from the contact forces in the file.
+        This structure's displacement, computed from the contact forces in the file.
     gap_coefficients : (2H+1, n_pairs) [m]
         Gaps from the file.
     tolerance : float
-        Allowed difference, relative to the norm of the gaps without clearance. Rounding of a common
-        motion of both crack faces is added.
+        Allowed difference, divided by the gaps' norm without clearance. An allowance for rounding
+        errors is added, proportional to the crack faces' displacement.
     """
     recomputed_gap_coefficients = structure.apply_bt(displacement_coefficients)
     displacement_sizes = structure.sum_over_ranks(
@@ -450,8 +459,8 @@ def _check_gap_coefficients(
 def _pack_curve(curve: ResponseCurve) -> Datasets:
     """Return a curve as datasets by name, with the special points (bifurcations).
 
-    The stability at special points is left out; for exact orbits it follows from their multipliers,
-    included here.
+    Exact orbits have their Floquet multipliers at special points, too. Harmonic balance points have
+    none there.
     """
     special_points = curve.at_bifurcations.part(slice(1, -1))
     datasets = pack_dataclass(curve, *_FIELDS_NOT_STORED, "points")
@@ -478,15 +487,15 @@ def _pack_curve(curve: ResponseCurve) -> Datasets:
 
 
 def _pack_orbit_displacements_and_velocities(curve: ResponseCurve) -> Datasets:
-    """Return exact orbits' states as datasets: by dof, not by mode.
+    """Return exact orbits' displacements and velocities as datasets, by dof.
 
-    A mode that is computed anew may have the opposite sign, and nothing shows this. For dofs,
-    :func:`_find_dof_signs` finds the sign.
+    A curve holds modal coordinates. A mode's sign is arbitrary, and may differ when the mode is
+    computed again. A dof's sign can be found by :func:`_find_dof_signs`.
 
     Returns
     -------
     dict of str to array
-        "states" (n, 2, n_dofs): displacements [m] and velocities [m/s] at the n points. With
+        "states" (n, 2, n_dofs): displacements [m] and velocities [m/s] at the n curve points. With
         friction also "places" (n, n_pairs): tangential gaps [m] at which pairs stick.
     """
     dof_states, sticking_gaps = [], []
@@ -505,7 +514,7 @@ def _pack_orbit_displacements_and_velocities(curve: ResponseCurve) -> Datasets:
 def _unpack_curve(datasets: Datasets, structure: Structure, contact: OptionalLaw) -> ResponseCurve:
     """Return a curve from datasets after checking law and shapes (collective).
 
-    A structure with many dofs is reduced to massless crack faces first.
+    A structure with many dofs is reduced first, to a model without mass at the crack faces.
     """
     if not is_small(structure):
         structure = reduce_structure(structure, method="massless")
@@ -564,7 +573,8 @@ def _unpack_exact_points(
 ) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
     """Rebuild a curve with exact orbits, and the states at special points.
 
-    Special points are bifurcations. A state has all modes' displacements and velocities.
+    Special points are bifurcations. A state has all modes' displacements and velocities. With
+    friction, it also has the tangential gap at which each pair sticks.
 
     Parameters
     ----------
@@ -573,15 +583,15 @@ def _unpack_exact_points(
     structure, contact : Structure, ContactLaw or None
         The curve's structure and law.
     count_by_prefix : dict of str to int
-        Point count by dataset name prefix. "" stands for all points, "bifurcation"
+        Point count by dataset name prefix. The prefix "" is for the curve's points, "bifurcation"
         with an underscore for special points.
     shape_by_name : dict
-        Required shapes by dataset name; further shapes are added before the check.
+        Required shapes by dataset name. The states' shapes are added here; then all are checked.
 
     Returns
     -------
     curve : ResponseCurve
-        Curve without bifurcations in the list.
+        Curve with an empty ``bifurcations``, which the caller fills.
     special_states : (m, n_states)
         States at the m special points.
 
@@ -617,7 +627,8 @@ def _unpack_balance_points(
 ) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
     """Rebuild a harmonic balance curve, and the unknowns at special points (collective).
 
-    Special points are bifurcations. The unknowns have H harmonics.
+    Special points are bifurcations. Unknowns are the Fourier coefficients [m] that harmonic balance
+    solves for, as in :attr:`ResponseCurve.points`.
 
     Parameters
     ----------
@@ -626,23 +637,17 @@ def _unpack_balance_points(
     structure, contact : Structure, ContactLaw or None
         The curve's structure and law.
     count_by_prefix : dict of str to int
-        Point count by dataset name prefix. "" stands for all points, "bifurcation"
+        Point count by dataset name prefix. The prefix "" is for the curve's points, "bifurcation"
         with an underscore for special points.
     shape_by_name : dict
-        Required shapes by dataset name; further shapes are added before the check.
+        Required shapes by dataset name. The unknowns' shapes are added here; then all are checked.
 
     Returns
     -------
     curve : ResponseCurve
-        Curve without bifurcations in the list.
+        Curve with an empty ``bifurcations``, which the caller fills.
     special_unknowns : list of (2H+1, n_pairs)
-        Gap coefficients at each special point, with as many harmonics as the curve.
-
-    Raises
-    ------
-    InputError
-        The first solution's displacement, computed anew, gives other gaps than the file. A relative
-        difference of 1e-4 is allowed.
+        Unknowns at each special point, with the curve's H harmonics.
     """
     special_point_dataset_names = [
         f"bifurcation_{index}" for index in range(len(datasets["kinds"]))
@@ -675,18 +680,25 @@ def _unpack_balance_points(
 def _unpack_states_by_mode(
     datasets: Datasets, prefix: str, curve: ResponseCurve, dof_signs: np.ndarray
 ) -> np.ndarray:
-    """Convert the states in a file from dofs to modal coordinates: (n, n_states).
+    """Convert exact orbits' states from dofs to modal coordinates.
 
     Parameters
     ----------
     datasets : dict
         The file's datasets by name.
     prefix : str
-        "" for all points, "bifurcation" with an underscore for the special points.
+        Prefix in dataset names: "" for the curve's points, "bifurcation" with an underscore for
+        special points.
     curve : ResponseCurve
         Curve with the structure at each parameter value.
     dof_signs : (n_dofs,)
-        Signs 1 or -1 by which the structure's dofs differ from the file's.
+        1 if the structure's dof has the same direction as in the file, -1 if opposite.
+
+    Returns
+    -------
+    (n, n_states)
+        For each point: modal displacements, then modal velocities. With friction, the tangential
+        gaps [m] at which pairs stick follow.
     """
     parameter_values = datasets[f"{prefix}values"]
     dof_states = dof_signs * datasets[f"{prefix}states"]
@@ -726,7 +738,7 @@ def _pack_history(history: TimeHistory) -> Datasets:
 def _unpack_history(datasets: Datasets, structure: Structure, contact: OptionalLaw) -> TimeHistory:
     """Return a time history from datasets after checking shapes, load and pairs.
 
-    ``contact`` is ignored.
+    ``contact`` is ignored; it is a parameter because curves and solutions need a law.
     """
     dof_signs = _find_dof_signs(structure, datasets["couplings"])
     n_instants, recorded_dofs = datasets["time"].size, datasets["recorded_dofs"]
@@ -754,19 +766,37 @@ def _unpack_history(datasets: Datasets, structure: Structure, contact: OptionalL
 
 
 def _stack_gap_and_load_rows(structure: Structure) -> np.ndarray:
-    """Return gap and load rows, to identify dofs: (n_pairs + 2K+1, n_local).
+    """Return rows that identify a structure's dofs: (n_pairs + 2K+1, n_local).
 
-    The rows are B^T for the gaps, and the load's 2K+1 Fourier coefficients [N].
+    The first n_pairs rows give each pair's gap from the displacement. The next 2K+1 rows are the
+    load's Fourier coefficients [N], with K harmonics.
     """
     return np.vstack([structure.gap.toarray().T, structure.force])
 
 
 def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray:
-    """Return signs 1 or -1 (n_local,) by which a structure's dofs differ from a file's.
+    """Find the dofs that have the opposite direction in a file.
 
-    A reduced structure's dofs are modes, and a mode computed anew may have the other sign.
-    ``stored_rows`` are the file's rows of :func:`_stack_gap_and_load_rows`. InputError if the load
-    or the pairs differ by more than 1e-6, relative to a row's maximum.
+    A reduced structure's dofs are modes. A mode's sign is arbitrary, and may differ when the mode
+    is computed again. To find the signs, gap and load rows are compared.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure to compare with the file.
+    stored_rows : (n_pairs + 2K+1, n_local)
+        The file's rows, as from :func:`_stack_gap_and_load_rows`.
+
+    Returns
+    -------
+    (n_local,)
+        1 if a dof has the same direction as in the file, -1 if opposite.
+
+    Raises
+    ------
+    InputError
+        The number of rows or dofs differs. Or rows differ by more than 1e-6 times the maximum in
+        the row: the load or the pairs are different.
     """
     gap_and_load_rows = _stack_gap_and_load_rows(structure)
     if stored_rows.shape != gap_and_load_rows.shape:
@@ -788,10 +818,10 @@ LAW_COMPARISON_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in
 
 
 def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
-    """Return datasets that identify a contact law: name and parameters.
+    """Return datasets that identify a contact law: class name and parameters.
 
-    A user's law has no known parameters. Its forces at :data:`LAW_COMPARISON_GAPS`, summed over the
-    pairs, are stored instead.
+    A law written by a user has no known parameters. Instead, "law_force" has the law's forces [N]
+    at the gaps :data:`LAW_COMPARISON_GAPS`, summed over the pairs.
     """
     attribute_names = (
         "stiffness", "sharpness", "layer_depth", "layer_share", "coefficient",
@@ -814,10 +844,19 @@ def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
 
 
 def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -> None:
-    """Raise InputError unless a file's law equals the given contact law.
+    """Raise InputError unless a file's contact law equals the given law.
 
-    Parameters must agree to 1e-9, relative. For a user's law without known parameters, the forces
-    at :data:`LAW_COMPARISON_GAPS` must agree to 1e-9, relative.
+    Class name and parameters are compared. For a law written by a user, forces are compared at the
+    gaps :data:`LAW_COMPARISON_GAPS`. Parameters and forces may differ by 1e-9, relative.
+
+    Parameters
+    ----------
+    datasets : dict
+        The file's datasets by name.
+    contact : ContactLaw or None
+        The given law.
+    structure : Structure
+        Structure with the number of pairs.
     """
     law_datasets = _law_datasets(contact, structure)
     dataset_names = {"law", "law_stiffness", "law_sharpness", "law_force"} | law_datasets.keys()

@@ -74,7 +74,7 @@ def write_result_file(
 ) -> None:
     """Write datasets to an HDF5 result file, whole or not at all (collective).
 
-    Rank 0 writes.
+    Only rank 0 writes.
 
     Parameters
     ----------
@@ -85,11 +85,11 @@ def write_result_file(
     kind : str
         Kind of result, for example "response curve".
     scene : Scene, optional
-        Scene of the result.
+        The result's scene.
     comm : MPI.Comm
         Communicator of the ranks that call.
     is_compressed : bool
-        Compress arrays with over 1000 entries, which takes 30 times as long.
+        Compress arrays with over 1000 entries. Writing then takes 30 times as long.
 
     Raises
     ------
@@ -122,7 +122,16 @@ def write_result_file(
 def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     """Write a result file's attributes: kind, program, versions and scene.
 
-    With a scene also digests of the scene's files.
+    If there is a scene, digests for its mesh and matrix files are written, too.
+
+    Parameters
+    ----------
+    file : h5py.File
+        File open for writing.
+    kind : str
+        Kind of result, for example "response curve".
+    scene : Scene or None
+        The result's scene.
     """
     file.attrs.update(
         kind=kind, program=PROGRAM_NAME, version=VERSION, versions=library_versions_text()
@@ -135,7 +144,7 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
 def library_versions_text() -> str:
     """Return library versions as text: "PETSc 3.22.0, NumPy 2.1.0".
 
-    SLEPc, DOLFINx and gmsh only if they are loaded.
+    PETSc is always named. SLEPc, NumPy, DOLFINx and gmsh are named only if already imported.
     """
     module_by_name = {"PETSc": PETSc, "SLEPc": sys.modules.get("slepc4py.SLEPc")}
     version_by_name = {
@@ -151,9 +160,10 @@ def library_versions_text() -> str:
 
 @functools.cache
 def program_fingerprint_text() -> str:
-    """Return a text that changes with the program or its main libraries.
+    """Return a text that changes if the program or a main library is changed.
 
-    The text lists path, size and time for the program's sources, and for each library's main file.
+    Used to tell whether a stored structure comes from the same program. The text lists path, size
+    and modification time for the program's source files, and for a main file from each library.
     """
     module_specs = map(
         find_spec, ("dolfinx", "ufl", "ffcx", "basix", "petsc4py", "slepc4py", "gmsh")
@@ -171,12 +181,12 @@ def scene_text(scene: Scene) -> str:
 
 
 def scene_with_full_paths(scene: Scene) -> Scene:
-    """Return a scene in which the paths of files are absolute."""
+    """Return a scene with absolute file paths."""
     return with_file_paths(scene, lambda path: str(Path(path).absolute()))
 
 
 def attribute_texts(file: h5py.File) -> dict[str, str]:
-    """Return attributes of a file and its datasets as texts by name.
+    """Return a file's attributes, and the datasets' attributes, as texts by name.
 
     A dataset's attribute has a name like "omega/unit".
     """
@@ -189,7 +199,7 @@ def attribute_texts(file: h5py.File) -> dict[str, str]:
 def locate_dataset_in_file(dataset: h5py.Dataset) -> DatasetLocation:
     """Return type, shape and offset in the file for a sweep's dataset.
 
-    The offset [byte] is needed since the sweep's numbers are written later, without HDF5.
+    With the offset [byte], numbers can be written into the file later, without HDF5.
     """
     return DatasetLocation(dataset.dtype, dataset.shape, dataset.id.get_offset())
 
@@ -197,7 +207,10 @@ def locate_dataset_in_file(dataset: h5py.Dataset) -> DatasetLocation:
 def dataset_location_texts(
     location_by_dataset_name: Mapping[str, DatasetLocation],
 ) -> dict[str, str]:
-    """Return type, shape and offset for a sweep's datasets as texts by name."""
+    """Return type, shape and offset as text for each dataset in a sweep, by name.
+
+    Used for the digest: a sweep's numbers change while cases are added, but this text does not.
+    """
     return {name: str(location) for name, location in location_by_dataset_name.items()}
 
 
@@ -235,7 +248,7 @@ def content_digest(attributes: Mapping[str, str], datasets: Mapping[str, Any]) -
 
 @dataclass(frozen=True)
 class DatasetLocation:
-    """Hold type, shape and offset [byte] for a dataset filled in later."""
+    """Hold type, shape and offset [byte] for a dataset with numbers to be written later."""
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
@@ -246,17 +259,32 @@ class DatasetLocation:
 
     @property
     def n_bytes(self) -> int:
-        """Size of the dataset in the file [byte]."""
+        """Dataset size in the file [byte]."""
         return math.prod(self.shape) * self.dtype.itemsize
 
     def read_numbers(
         self, path: Path, first_index: int = 0, count: int | None = None
     ) -> np.ndarray:
-        """Read the dataset's numbers from the file ``path``.
+        """Read the dataset's numbers from a file.
 
-        If ``count`` is None, all numbers from the beginning are returned in the dataset's shape.
-        Otherwise ``count`` numbers (count,) from ``first_index`` on, in the flattened dataset.
-        OSError or ValueError if the file cannot be read, or ends too early.
+        Parameters
+        ----------
+        path : Path
+            The file.
+        first_index : int
+            First number to read, counted from 0 in the flattened dataset.
+        count : int or None
+            How many numbers to read; None: all, with ``first_index`` 0.
+
+        Returns
+        -------
+        array
+            (count,), or the dataset's shape if ``count`` is None.
+
+        Raises
+        ------
+        OSError, ValueError
+            The file cannot be read, or ends too early.
         """
         start_byte = self.offset + first_index * self.dtype.itemsize
         n_numbers = math.prod(self.shape) if count is None else count
@@ -268,7 +296,7 @@ class DatasetLocation:
 
 @dataclass(frozen=True)
 class StoredFile:
-    """Hold the contents of a result file whose digest was verified.
+    """Hold a result file's contents, after the digest was verified.
 
     Attributes
     ----------
@@ -279,8 +307,8 @@ class StoredFile:
     datasets : dict
         Datasets by name: arrays, numbers and words. Empty for a sweep, or if read by
         :func:`read_result_file_without_numbers`.
-    columns : dict of str to Column
-        For a sweep: each dataset's type, shape and offset; otherwise empty.
+    columns : dict of str to DatasetLocation
+        For a sweep: each dataset's type, shape and offset, by name. Otherwise empty.
     """
 
     path: Path
@@ -331,7 +359,10 @@ class StoredFile:
             raise self._older_version_error("checksums of all files of its matrices")
 
     def refusal(self, requirement_text: str) -> InputError:
-        """Return the InputError for this file with a requirement, printed after "must be"."""
+        """Return an InputError with this file's path, for the caller to raise.
+
+        ``requirement_text`` says what the file must be. The message has it after "must be".
+        """
         return InputError("path", str(self.path), requirement_text)
 
     def check_kind(self, kind: str) -> None:
@@ -341,10 +372,11 @@ class StoredFile:
 
     @contextlib.contextmanager
     def yield_datasets_with_valid_numbers(self) -> Iterator[dict[str, Any]]:
-        """Check the numbers, and yield the datasets as a new dict (context manager).
+        """Check the numbers, and yield the datasets in a new dict (context manager).
 
-        InputError if :func:`check_arrays` refuses the numbers. Also if the code in the ``with``
-        block raises one of ``DATASET_ERROR_CLASSES``: a dataset does not fit.
+        Used to build a result from the datasets in a ``with`` block. InputError is raised if
+        :func:`check_arrays` finds invalid numbers. InputError also replaces an error in
+        ``DATASET_ERROR_CLASSES`` in the block, since a dataset then does not fit the result.
         """
         try:
             check_arrays(self.datasets)
@@ -358,11 +390,14 @@ class StoredFile:
 
     @property
     def _stored_scene_file_digests(self) -> list[str]:
-        """SHA-256 digests for the scene's files when this file was written."""
+        """SHA-256 digests for the scene's files, stored when the result was written."""
         return self.attributes.get("meshes", "").split()
 
     def check_digest(self) -> None:
-        """Raise InputError unless the contents fit the stored digest."""
+        """Raise InputError if the contents do not match the file's digest.
+
+        A file without a digest, from an older version, is refused, too.
+        """
         stored_digest = self.attributes.get("digest")
         if stored_digest is None:
             raise self._older_version_error("a checksum")
@@ -373,7 +408,10 @@ class StoredFile:
             raise self.refusal("a whole file; this one is damaged: compute it again")
 
     def _older_version_error(self, content: str) -> InputError:
-        """Return the InputError for a file by an older version that lacks ``content``."""
+        """Return an InputError for a file by an older version, for the caller to raise.
+
+        ``content`` names what the file lacks, such as "a checksum".
+        """
         version = self.attributes.get("version", "unknown")
         requirement_text = (
             f"a file with {content}, which older versions did not write (this file: {version})"
@@ -444,7 +482,11 @@ def _read_and_check_result_file(path: Path) -> StoredFile:
 
 
 def _stored_file_from_arrays(path: Path, array_by_name: Mapping[str, np.ndarray]) -> StoredFile:
-    """Return a file's contents from the arrays of ``h5_reader.read``."""
+    """Return a file's contents as a :class:`StoredFile`.
+
+    ``path`` is the file. ``array_by_name`` comes from :func:`fenics_crack.files.h5_reader.read`: a
+    header as JSON text, and numbered arrays.
+    """
     contents = json.loads(str(array_by_name["head"]))
     stored_array_by_dataset_name = {
         name: array_by_name[f"arr_{array_index}"]
@@ -501,15 +543,18 @@ def read_result_file_without_numbers(path: str | Path) -> StoredFile:
 
 @functools.lru_cache(maxsize=32)
 def _read_without_numbers_cached(path: Path, file_identity: tuple[int, ...]) -> StoredFile:
-    """Read a result file without datasets; ``file_identity`` changes with the file."""
+    """Read a result file without the datasets' numbers; results are cached.
+
+    ``file_identity`` has numbers that change with the file, so a changed file is read again.
+    """
     return replace(_read_and_check_result_file(path), datasets={})
 
 
 def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
-    """Return pairs (key, path) for all files that a scene needs.
+    """Return (key, path) for each file that a scene needs.
 
-    First come the files named in the scene, then files to which matrix files refer. Of these,
-    ".dof" files are left out if the scene names a dof file.
+    Files named in the scene come first. Files to which the matrix files refer follow, with the
+    matrix file's key. If the scene names a dof file, referenced ".dof" files are left out.
     """
     named_key_path_pairs = file_keys_and_paths(scene)
     # A named file of dofs takes the place of the file beside the matrices.
@@ -527,9 +572,10 @@ def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
 
 
 def list_scene_file_digests(scene: Scene) -> list[str]:
-    """Return SHA-256 digests for all files that a scene reads.
+    """Return a SHA-256 digest for each file that a scene reads.
 
-    :data:`UNREADABLE_FILE_DIGEST` for a file that cannot be read.
+    The order is as in :func:`_list_scene_files`. A file that cannot be read has
+    :data:`UNREADABLE_FILE_DIGEST`.
     """
     return [_file_digest(path) for _, path in _list_scene_files(scene)]
 
@@ -569,7 +615,7 @@ class SavableResult(Tabular):
     @classmethod
     @check_calls
     def load(cls, path: str | Path) -> Self:
-        """Read a file of ``save``; nothing is computed.
+        """Read a file written by ``save``; nothing is computed.
 
         Raises
         ------
@@ -596,7 +642,10 @@ class SavableResult(Tabular):
 
     @classmethod
     def _unpack_fields(cls, datasets: Datasets, scene: Scene | None) -> Self:
-        """Return the result from datasets by name, and the file's scene or None."""
+        """Return the result from datasets by field name.
+
+        ``scene`` is the scene in the file, or None.
+        """
         return unpack_dataclass(cls, datasets, scene)
 
 
@@ -688,10 +737,16 @@ UNIT_AND_MEANING_BY_DATASET_NAME: dict[str, tuple[str, str]] = {
 
 
 def dataset_attribute_texts(name: str, datasets: Mapping[str, Any]) -> dict[str, str]:
-    """Return a dataset's attributes ``unit`` and ``about`` (the meaning).
+    """Return a dataset's HDF5 attributes: ``unit``, and ``about`` for the meaning.
 
-    An attribute is left out if empty, as for counts and words. ``datasets`` are all datasets in the
-    file: "parameter" gives the unit for a curve's "values".
+    An attribute is left out if empty: counts and words have none.
+
+    Parameters
+    ----------
+    name : str
+        Dataset name.
+    datasets : mapping
+        All datasets in the file. For a curve's "values", the dataset "parameter" tells the unit.
     """
     if name in ("values", "bifurcation_values") and "parameter" in datasets:
         parameter_name = str(datasets["parameter"])  # most are factors

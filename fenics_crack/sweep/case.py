@@ -64,19 +64,20 @@ class SharedCaseOptions:
     Attributes
     ----------
     has_unit_loads : bool
-        True if structures are built with unit forces, which each case scales by its own force.
+        True if shared structures are built with unit forces, and each case scales them by its own
+        force.
     stops_sweep_if_structure_too_large : bool
-        True if a structure too large to solve ends the sweep with an error. If False, only its
-        cases fail.
+        True if a structure too large to solve ends the sweep with an error. If False, only the
+        cases with this structure fail.
     at_resonance : bool
         True if each case is solved at the resonance nearest to its frequency.
     assesses_stability : bool
-        True if the stability of each case is assessed.
+        True if each case's stability is assessed.
     estimates_reduction_error : bool
-        True if the reduction error of each case is estimated.
+        True if each case's reduction error is estimated.
     frequencies_only_flags_of_last_axis : tuple of bool
-        For each value of the last key in ``[sweep.over]``, True if only natural frequencies are
-        computed.
+        A flag for each value of the last key in ``[sweep.over]``. True: cases with this value are
+        not solved, and only have natural frequencies.
     """
 
     has_unit_loads: bool
@@ -96,23 +97,24 @@ class SweepGeometry:
     Attributes
     ----------
     study : Study
-        Study with this structure, without clearance; reduced, unless the mesh or matrices are
-        small.
+        Study with this structure, without clearance. The structure is reduced, unless the mesh or
+        the given matrices are small.
     has_unit_loads : bool
         True if the load has a sine part of 1 N in x and a cosine part of 1 N in y. A solid has a
         mean of 1 N in z, too.
     crack_length : float [m]
-        Length of the first crack; nan if unknown.
+        First crack's length; nan if unknown.
     bilinear_frequencies : BilinearFrequencies
         Natural frequencies with the crack open and bonded.
     dof_weight_row_by_watched_name : dict of str to (n_dofs,)
-        Rows R that give displacements [m] as R u: named points by "tip.ux", the load's point by "".
-        If "" is missing, each case has its own row, in the direction of its load.
+        Rows R that give displacements [m] as R u, with the structure's displacements u (n_dofs,).
+        Names are "tip.ux" for a named point, and "" for the load's point. If "" is missing, each
+        case has its own row, in the direction of its load.
     unreduced_study : Study
         Study before reduction.
     ascending_mode_counts_to_try : tuple of int
         Number of modes in ``study``, then larger numbers to try if a case misses its tolerance.
-        Empty if the tolerance does not choose the number.
+        Empty if the scene sets the number of modes.
     """
 
     study: Study
@@ -125,9 +127,10 @@ class SweepGeometry:
 
     @cached_property
     def geometry_with_more_modes(self) -> SweepGeometry | None:
-        """The same structure with the next number of modes in ``ascending_mode_counts_to_try``.
+        """The same structure with the next larger number of modes.
 
-        None if no larger number is left.
+        The number is the second in ``ascending_mode_counts_to_try``. None if no larger number is
+        left.
         """
         if len(self.ascending_mode_counts_to_try) < 2:
             return None
@@ -252,9 +255,18 @@ def iterate_geometries_with_more_modes(
 ) -> Iterator[SweepGeometry]:
     """Yield a case's structure with each number of modes that a sweep may use.
 
-    A caller compares a stored case with each structure, to find the one that solved the case. If
-    the tolerance chooses the number of modes, a last structure follows. It is reduced as the scene
-    says, as in a sweep without reduction errors.
+    Used to restore a stored case: a caller compares the stored solution with each structure, to
+    find the structure that solved the case.
+
+    If the number of modes is chosen by the tolerance, a last structure follows. It has the number
+    of modes set in the scene, as in a sweep without reduction errors.
+
+    Parameters
+    ----------
+    scene : Scene
+        The case's scene.
+    case_options : SharedCaseOptions
+        Options of the sweep.
     """
     first_geometry = build_sweep_geometry(scene, MPI.COMM_SELF, case_options)
     geometry: SweepGeometry | None = first_geometry
@@ -288,8 +300,8 @@ def _find_load_point_row_by_name(scene: Scene, structure: Structure) -> dict[str
     """Return a row R (n_dofs,) for the displacement at the load's point (collective).
 
     R times the structure's displacements u (n_dofs,) is the displacement [m]. The result is a
-    dictionary with the key "". If the scene has matrices, R selects the dof with the largest load.
-    The dictionary is empty for a mesh whose structure has no watched displacement.
+    dictionary with the key "". If the structure names no displacement to watch, given matrices have
+    the row for the dof with the largest load. A mesh then has an empty dictionary.
     """
     whole_structure = structure.whole
     if whole_structure.watched is not None:
@@ -376,8 +388,8 @@ class CaseSolver:
     """Solver for sweep cases with a shared structure.
 
     Each solution is the initial guess for the next case. Cases that differ only in frequency share
-    structure, contact law and equations. If a case needs more modes for its tolerance, this case
-    and all further cases get them.
+    structure, contact law and equations. If a case misses its tolerance, the structure gets more
+    modes, for this case and all further cases.
     """
 
     def __init__(self, geometry: SweepGeometry) -> None:
@@ -437,9 +449,9 @@ class CaseSolver:
         return value_by_column
 
     def solve_at_given_frequency(self, case: Scene) -> PeriodicSolution:
-        """Solve a case at its own load frequency.
+        """Solve a case at its own load frequency, by harmonic balance.
 
-        Without contact the solution is linear. If the computation fails, an exception from
+        A case without contact has a linear solution. If the computation fails, an exception from
         :data:`SINGLE_COMPUTATION_FAILURES` is raised: InputError, ConvergenceError or LinAlgError.
         """
         omega, balance_table = case.excitation.omega, case.harmonic_balance
@@ -470,10 +482,15 @@ class CaseSolver:
     def solve_at_resonance(self, case: Scene) -> PeriodicSolution:
         """Solve a case at the resonance nearest to its frequency.
 
-        The resonance is a single mode's phase resonance, with the bilinear frequency nearest to the
-        case's frequency. If several modes respond together, the resonance is the peak of the
-        response curve. The peak is also used with friction and with smooth contact laws. If the
-        computation fails, an exception from :data:`SINGLE_COMPUTATION_FAILURES` is raised.
+        The mode is chosen whose bilinear frequency, the natural frequency with a breathing crack,
+        is nearest to the case's frequency. Usually the resonance is this mode's phase resonance.
+        With friction, with a smooth contact law, or if several modes respond together, the
+        resonance is the response curve's peak.
+
+        Raises
+        ------
+        InputError, ConvergenceError, LinAlgError
+            The computation has failed (:data:`SINGLE_COMPUTATION_FAILURES`).
         """
         balance_table = case.harmonic_balance
         self._set_structure_and_law(case)
@@ -495,19 +512,24 @@ class CaseSolver:
         return self.solve_at_given_frequency(case.replace({"excitation.omega": omega}))
 
     def _find_peak_omega_and_solution(self, problem: Problem) -> tuple[float, PeriodicSolution]:
-        """Return frequency and solution at the peak of the response curve.
+        """Return frequency and solution at the peak of a response curve.
 
-        The curve covers the mode with the bilinear frequency nearest to the problem's. It goes from
-        (1 - 2 xi) omega_open to (1 + 2 xi) omega_tied. xi is the mode's damping ratio, omega_open
-        and omega_tied are its natural frequencies with open and bonded crack. InputError unless
-        xi is above 0 and below 0.5.
+        The curve belongs to the mode whose bilinear frequency, the natural frequency with a
+        breathing crack, is nearest to the problem's frequency. With the mode's damping ratio xi,
+        the curve goes from (1 - 2 xi) omega_open to (1 + 2 xi) omega_tied. The natural frequencies
+        omega_open and omega_tied have the crack open and bonded.
 
         Returns
         -------
         omega : float
             Frequency at the peak [rad/s].
         solution : PeriodicSolution
-            Solution at the nearest curve point.
+            Solution at the curve point nearest to the peak.
+
+        Raises
+        ------
+        InputError
+            xi is not between 0 and 0.5.
         """
         natural_frequencies = self._geometry.bilinear_frequencies
         nearest_mode_value_by_name = natural_frequencies.nearest(problem.omega)
@@ -538,15 +560,16 @@ class CaseSolver:
         return peak.value, response_curve.solution(peak.index)
 
     def assess_stability_by_name(self, solution: PeriodicSolution) -> CaseValues:
-        """Assess a solution's stability for the columns of the sweep.
+        """Assess a solution's stability for the sweep's columns.
 
         Returns
         -------
         dict
-            "verdict": stable, unstable, irregular or undecided. "multiplier": largest modulus of
+            "verdict": stable, unstable, irregular or undecided. "multiplier": largest modulus among
             the Floquet multipliers, missing if they could not be computed. "remark": why stability
-            is undecided, or how more modes contradict the verdict, else "". The dict is empty
-            without a contact law, and for rigid contact between crack faces with mass.
+            is undecided, or how a computation with more modes contradicts the verdict; else "". The
+            dict is empty without a contact law, and for rigid contact between crack faces with
+            mass.
         """
         structure, law, remark_text = solution.structure, solution.contact, ""
         if law is None or (is_rigid(law) and not structure.has_massless_crack_faces):
@@ -579,10 +602,17 @@ class CaseSolver:
 def _load_and_nearest_frequency_by_column(
     omega: float, natural_frequencies: BilinearFrequencies
 ) -> CaseValues:
-    """Return load frequency and nearest natural frequencies, by column name.
+    """Return load frequency and natural frequencies of the nearest mode, by column name.
 
-    ``omega`` is the load frequency [rad/s]. ``natural_frequencies`` are the structure's. The result
-    has those of the mode whose bilinear frequency is nearest to ``omega``.
+    The nearest mode has the bilinear frequency, the natural frequency with a breathing crack,
+    nearest to the load frequency.
+
+    Parameters
+    ----------
+    omega : float [rad/s]
+        Load frequency.
+    natural_frequencies : BilinearFrequencies
+        The structure's natural frequencies.
     """
     return add_frequency_entries({"omega": omega}) | natural_frequencies.nearest(omega)
 
@@ -590,7 +620,8 @@ def _load_and_nearest_frequency_by_column(
 def _natural_frequency_by_column(natural_frequencies: BilinearFrequencies) -> CaseValues:
     """Return the lowest natural frequencies [rad/s] by column name, such as "omega_open_1".
 
-    Each mode has a frequency with the crack open, one with the crack bonded, and a bilinear one.
+    For modes 1 to 6 there is a frequency with the crack open ("omega_open"), one with the crack
+    bonded ("omega_tied"), and one with a breathing crack ("omega_bilinear").
     """
     omegas_of_kinds = (
         natural_frequencies.omega_open,
@@ -608,11 +639,21 @@ def _natural_frequency_by_column(natural_frequencies: BilinearFrequencies) -> Ca
 def _observe_value_by_column(
     solution: PeriodicSolution, case: Scene, geometry: SweepGeometry
 ) -> CaseValues:
-    """Return a solution's numbers for the sweep's columns, by column name.
+    """Return values for the sweep's columns from a case's solution, by column name.
 
-    The load's point and the points in ``[output.points]`` have indicators and harmonics of the
-    displacement. Crack-face indicators follow. Quantities at crack tips and at the clamp are
-    included if the scene requests them.
+    Values describe the displacement at the load's point, and at points in ``[output.points]``:
+    amplitude, mean and further indicators, and cosine and sine parts of harmonics. Crack faces have
+    indicators, too, such as the opening. Quantities at crack tips and at the clamp are included if
+    the scene requests them.
+
+    Parameters
+    ----------
+    solution : PeriodicSolution
+        The case's solution.
+    case : Scene
+        The case's scene, with the load's direction.
+    geometry : SweepGeometry
+        Shared structure, with rows for the watched displacements.
     """
     dof_weight_row_by_point_name = (
         _find_load_direction_row_by_name(solution, case) | geometry.dof_weight_row_by_watched_name
@@ -650,10 +691,13 @@ def _find_load_direction_row_by_name(
 ) -> dict[str, np.ndarray]:
     """Return a row R (n_dofs,) for the displacement along the load, at the load's point.
 
-    R times the structure's displacements u (n_dofs,) is the displacement [m]. The direction is that
-    of the load's largest Fourier part; the mean counts only if all others are zero. With the force
-    vector F at the load's point, the structure's load vector is f, and R = f / |F|. The result is a
-    dictionary with the key "". It is empty without a force.
+    R times the structure's displacements u (n_dofs,) is the displacement [m]. The load's mean,
+    cosine and sine parts may have different directions. R has the direction of the largest cosine
+    or sine part. If the load has neither, R has the mean's direction.
+
+    For the chosen part, F is the force vector [N] at the load's point, and f is the structure's
+    load vector. Then R = f / |F|. The result is a dictionary with the key ""; it is empty without a
+    force.
     """
     force_norms_of_fourier_parts = np.linalg.norm(list_mean_cos_and_sin_force_vectors(case), axis=1)
     fourier_part_index = (

@@ -71,9 +71,10 @@ stability."""
 
 
 def column_name_at_load(quantity: str) -> str:
-    """Return the sweep column's name for a quantity at the load's point.
+    """Return the name of the sweep column for a quantity at the load's point.
 
-    The quantity "amplitude" has the column "response". Any other column has the quantity's name.
+    For ``quantity`` "amplitude" this is "response". For any other quantity it is the quantity's
+    name.
     """
     return "response" if quantity == "amplitude" else quantity
 
@@ -199,21 +200,23 @@ class SweepFile:
     scene : Scene
         Scene with its sweep.
     n_harmonics_upper_bound, n_gap_rows_upper_bound : int
-        Upper bounds over all cases for the harmonic count, and for the gap row count. They set the
-        size of the datasets. With 0 gap rows no Fourier coefficients of gaps and forces are stored.
+        Largest number of harmonics, and of gaps, in any case. A contact pair has a normal gap, and
+        with friction also a tangential gap. The numbers set the datasets' size. With 0 gaps, no
+        Fourier coefficients of gaps and forces are stored.
     omitted_options : sequence of str
-        Computations that are left out. "verdicts": stability of each case. "judged": reduction
-        error. "vibration_2": vibration at position 2 of the last swept key, where only natural
-        frequencies are computed.
+        Names of computations that are left out. "verdicts": stability. "judged": reduction error.
+        "vibration_2": the cases with value 2, counted from 0, of the last swept key; only natural
+        frequencies are computed for them.
 
     Attributes
     ----------
     is_new : bool
         True if the file did not exist.
     sweep_header : StoredFile
-        Header with the offset of each dataset.
+        Header with each dataset's offset.
     case_states : int array
-        State of each case (:class:`CaseState`) in the shape of the axes; PENDING for damaged cases.
+        Each case's state (:class:`CaseState`), in the shape of the sweep axes; PENDING for damaged
+        cases.
 
     Raises
     ------
@@ -362,7 +365,7 @@ class SweepFile:
             os.close(self._file_descriptor)
 
     def _write_column(self, column_name: str, case_numbers: np.ndarray, values: np.ndarray) -> None:
-        """Write values for some cases into a dataset in the file.
+        """Write values for given cases into a dataset in the file.
 
         Parameters
         ----------
@@ -371,8 +374,8 @@ class SweepFile:
         case_numbers : (n,) int
             Case numbers; the position on the last sweep axis changes fastest.
         values : (n, ...)
-            Value of each case. If it has fewer bytes than the dataset has for a case, the remaining
-            bytes stay unchanged.
+            Each case's value. A value may be an array smaller than the place reserved for a case.
+            The rest of the place then stays unchanged.
         """
         stored_column = self.sweep_header.columns[column_name]
         bytes_per_case = stored_column.n_bytes // self.case_states.size
@@ -399,9 +402,10 @@ class SweepFile:
 
 
 def _lock_file_or_return_error(file_descriptor: int) -> OSError | None:
-    """Lock an open file for writing.
+    """Lock an open file, so that no other program writes into it.
 
-    Return None on success, and the error if another program holds the lock.
+    ``file_descriptor`` is the open file. Returns None on success, and the error if another program
+    holds the lock.
     """
     try:
         fcntl.flock(file_descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -411,9 +415,19 @@ def _lock_file_or_return_error(file_descriptor: int) -> OSError | None:
 
 
 def _pad_waves(waves: list[np.ndarray], n_columns: int) -> np.ndarray:
-    """Stack Fourier coefficients of several cases: (n_cases, n_rows, n_columns), padded with nan.
+    """Stack the Fourier coefficients of several cases in an array, padded with nan.
 
-    ``waves`` are arrays of at most ``n_columns`` columns; ``n_rows`` is the largest number of rows.
+    Parameters
+    ----------
+    waves : list of (n_coefficients, n_gaps)
+        Each case's Fourier coefficients; both numbers may differ between cases.
+    n_columns : int
+        Columns in the result, at least the largest n_gaps.
+
+    Returns
+    -------
+    (n_cases, n_rows, n_columns)
+        n_rows is the largest n_coefficients.
     """
     padded_waves = np.full((len(waves), max(map(len, waves)), n_columns), np.nan)
     for padded_wave, unpadded_wave in zip(padded_waves, waves, strict=True):
@@ -424,8 +438,16 @@ def _pad_waves(waves: list[np.ndarray], n_columns: int) -> np.ndarray:
 def _encode_column(column_values: Sequence[Any], column_type: np.dtype[Any]) -> np.ndarray:
     """Return a column's values (n,) in the form stored in the file.
 
-    A text becomes UTF-8, cut between characters to the column's size. None becomes nan in a column
-    with floats, 0 in a column with whole numbers, and an empty text.
+    A text becomes UTF-8, shortened to the column's size without cutting a character. None is a
+    missing value. It becomes nan in a column with floats, 0 in a column with whole numbers, and an
+    empty text.
+
+    Parameters
+    ----------
+    column_values : sequence
+        A number, text or None for each case.
+    column_type : dtype
+        The column's NumPy type in the file.
     """
     encoded_column = [
         value.encode()[: column_type.itemsize].decode("utf-8", "ignore").encode()
@@ -446,7 +468,7 @@ def _make_file_and_header_unless_exists(
     n_gap_rows_upper_bound: int,
     omitted_options: Sequence[str],
 ) -> store.StoredFile | None:
-    """Make a new sweep file in which all cases are pending, and return its header.
+    """Make a new sweep file with all cases pending, and return the file's header.
 
     Returns None if another program has made the file first.
 
@@ -457,7 +479,7 @@ def _make_file_and_header_unless_exists(
     scene : Scene
         Scene with its sweep.
     n_harmonics_upper_bound, n_gap_rows_upper_bound : int
-        Upper bounds over all cases for the harmonic count, and for the gap row count.
+        Largest number of harmonics, and of gaps, in any case.
     omitted_options : sequence of str
         Computations that are left out, as in :class:`SweepFile`.
     """
@@ -501,14 +523,16 @@ def _write_datasets_and_make_header(
     unit_type_shape_by_dataset: Mapping[str, tuple[str, str, tuple[int, ...]]],
     omitted_options: Sequence[str],
 ) -> store.StoredFile:
-    """Write a new sweep file, with zeros, to memory; return its header.
+    """Write a sweep file without values into memory, and return the file's header.
+
+    All numbers in the datasets are 0, so all cases are pending.
 
     Parameters
     ----------
     memory_file : binary file
         Open file in memory.
     path : Path
-        Final file path, to which the header refers.
+        Path at which the file will be; the header names it.
     scene : Scene
         Scene with its sweep.
     unit_type_shape_by_dataset : dict of str to (str, str, tuple)
@@ -547,9 +571,17 @@ def _write_datasets_and_make_header(
 
 
 def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
-    """Copy a sparse file's size and written parts to another open file.
+    """Copy a sparse file to another open file; unwritten ranges take no disk space.
 
-    Both parameters are file descriptors. Failure raises OSError.
+    Parameters
+    ----------
+    memory_descriptor, target_descriptor : int
+        File descriptors to copy from, and to copy to. The target gets the same size.
+
+    Raises
+    ------
+    OSError
+        The target cannot be written.
     """
     file_size, part_end = os.fstat(memory_descriptor).st_size, 0
     os.truncate(target_descriptor, file_size)
@@ -567,7 +599,7 @@ def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
 
 
 def _describe_column(column_name: str) -> str:
-    """Return a column's description for the file; empty if unknown."""
+    """Return a column's description, to be stored in the file; empty if unknown."""
     if column_name in UNIT_BY_FOURIER_COEFFICIENT_DATASET:
         return (
             "axes of the sweep; "
@@ -584,16 +616,24 @@ def _describe_column(column_name: str) -> str:
 
 
 def _compute_waves_checksum(gap: np.ndarray, force: np.ndarray) -> int:
-    """Return the CRC-32 of a case's gap and force coefficients."""
+    """Return a checksum (CRC-32) over a case's Fourier coefficients.
+
+    ``gap`` [m] and ``force`` [N] are the coefficients (2H+1, n_gaps), with H harmonics.
+    """
     return zlib.crc32(force.tobytes(), zlib.crc32(gap.tobytes()))
 
 
 def _compute_case_checksums(
     column_by_name: Mapping[str, np.ndarray], case_states: np.ndarray
 ) -> np.ndarray:
-    """Return a checksum (CRC-32, never 0) for each case: (n,).
+    """Return a checksum (CRC-32, never 0) over each case's values and state: (n,).
 
-    ``column_by_name`` has the values (n,) of each column, and ``case_states`` (n,) the states.
+    Parameters
+    ----------
+    column_by_name : mapping of str to (n,)
+        Values for n cases, by column name.
+    case_states : (n,)
+        Each case's state.
     """
     # Rows of bytes take memory: make few at once.
     checksums, n_block_cases = np.zeros(len(case_states), dtype="u4"), 4096
@@ -613,10 +653,13 @@ def _compute_case_checksums(
 
 
 def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
-    """Return the header of a file to be continued.
+    """Return the header of a sweep file, after checking that the file can be continued.
 
-    InputError if the file was begun with another scene, other mesh files or another version of the
-    program, or if columns are missing.
+    Raises
+    ------
+    InputError
+        The file was begun with another scene, other mesh files or another program version, or lacks
+        columns.
     """
     sweep_header = store.read_result_file_without_numbers(path)
     sweep_header.check_kind(KIND)
@@ -653,10 +696,15 @@ def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
 def _check_omitted_options_match(
     sweep_header: store.StoredFile, omitted_options: Sequence[str]
 ) -> None:
-    """Raise InputError if other computations were left out when the file was begun.
+    """Raise InputError if the file was begun with other computations left out.
 
-    ``omitted_options`` are computations to leave out now, as in :class:`SweepFile`. Files from
-    earlier versions do not state theirs and are accepted.
+    Parameters
+    ----------
+    sweep_header : StoredFile
+        Header of the file. Files from earlier versions do not say what was left out; they are
+        accepted.
+    omitted_options : sequence of str
+        Computations to leave out now, as in :class:`SweepFile`.
     """
     stored_omitted_option_names = sweep_header.attributes.get(
         "omitted", " ".join(omitted_options)
@@ -721,7 +769,8 @@ def _read_columns_and_find_damage(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Read all columns of a sweep's file, and find damaged cases.
 
-    If cases seem damaged, the file is read again: another program may be writing them.
+    If cases seem damaged, another program may be writing them at this time. The file is then read
+    again.
 
     Returns
     -------

@@ -54,12 +54,14 @@ sweep."""
 class Job(NamedTuple):
     """Work for one rank: chunks of cases with a shared structure.
 
+    A chunk has up to 16 neighbouring cases.
+
     Attributes
     ----------
     geometry_number : int
         Shared structure's number in the sweep's :class:`Plan`.
     chunk_case_numbers : tuple of (n,) int
-        Case numbers in each chunk, at most 16 in a chunk.
+        Case numbers in each chunk.
     """
 
     geometry_number: int
@@ -67,7 +69,7 @@ class Job(NamedTuple):
 
 
 class Worker:
-    """Solver for one rank's jobs; it builds the shared structures, too.
+    """Solver for one rank's jobs; it also builds the shared structures.
 
     Parameters
     ----------
@@ -95,10 +97,15 @@ class Worker:
     def iterate_chunk_outcomes(
         self, job: Job, may_continue: Callable[[], bool]
     ) -> Iterator[tuple[np.ndarray, ChunkOutcome]]:
-        """Solve a job's chunks one after the other.
+        """Solve a job's chunks one after the other, and yield the outcome of each.
 
-        ``may_continue`` is called before each chunk and each case; False ends the job. An
-        unexpected exception also ends it.
+        Parameters
+        ----------
+        job : Job
+            Chunks to solve.
+        may_continue : callable
+            Called before each chunk and each case; if it returns False, the job ends. An unexpected
+            exception also ends the job.
 
         Yields
         ------
@@ -159,9 +166,14 @@ class Worker:
     def _solve_chunk(
         self, chunk: Chunk, may_continue: Callable[[], bool]
     ) -> tuple[np.ndarray, ChunkOutcome]:
-        """Solve a chunk with the structure of the present job.
+        """Solve a chunk with the present job's shared structure.
 
-        ``may_continue`` is called before each case; False ends the chunk.
+        Parameters
+        ----------
+        chunk : Chunk
+            Cases to solve.
+        may_continue : callable
+            Called before each case; if it returns False, the chunk ends.
 
         Returns
         -------
@@ -169,8 +181,8 @@ class Worker:
             Case numbers, for the cases tried.
         outcome : list of dict, or Exception
             Values by column name for each case. If the structure could not be built, each case has
-            the error in the column ``status``. The outcome is the error itself if the structure is
-            too large and the options end the sweep for this reason.
+            the error in the column ``status``. If the structure is too large, and the options end
+            the sweep for this reason, the outcome is the error.
         """
         geometry_or_error = self._geometry_or_error
         if isinstance(geometry_or_error, SweepGeometry):
@@ -237,7 +249,7 @@ def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
 
 
 class Manager:
-    """Distributor of a sweep's jobs on rank 0; writes the file.
+    """Manager on rank 0: sends jobs to all ranks, and writes the results.
 
     Parameters
     ----------
@@ -298,9 +310,9 @@ class Manager:
 
     @property
     def sweep_header(self) -> StoredFile:
-        """Header of the finished file.
+        """Header of the finished file, after :meth:`run`.
 
-        An error that ended the sweep is raised here.
+        If an error ended the sweep, it is raised here.
         """
         if self._first_error is not None:
             raise self._first_error
@@ -390,10 +402,12 @@ class Manager:
         """Choose the next job for a rank; None if no chunk remains.
 
         A rank first goes on with the structure (mesh and modes) of its last job. If no chunk of
-        this structure remains, it gets a structure that no rank works on. If there is none, it gets
-        the structure with most chunks left. A job takes all chunks of its structure if there
-        is one rank, or if more structures than ranks are untouched. Otherwise it takes fewer
-        chunks, so that the ranks finish together.
+        this structure remains, the rank gets a structure that no rank works on. If there is none,
+        it gets the structure with most chunks left.
+
+        A job takes all chunks of its structure if there is only one rank. It also does if more
+        structures than ranks are not begun. Otherwise it takes fewer chunks, so that the ranks
+        finish together.
         """
         if not self._remaining_case_numbers_by_geometry:
             return None

@@ -36,7 +36,9 @@ Cases that differ only in these keys share a structure.
 
 
 class Chunk(NamedTuple):
-    """Up to 16 neighbouring sweep cases, solved one from the other.
+    """Up to 16 neighbouring sweep cases, solved one after the other.
+
+    Each solution is the initial guess for the next case.
 
     Attributes
     ----------
@@ -117,14 +119,15 @@ class Plan:
     ) -> list[list[np.ndarray]]:
         """Split case numbers by geometry, then into chunks of at most 16.
 
-        A geometry is a structure shared by several cases. The cases in a chunk differ only on one
-        sweep axis: the frequency if it is swept, otherwise the last one without effect on the
-        geometry. If each sweep axis changes the geometry, a chunk is a single case.
+        A geometry is a structure shared by several cases. All cases in a chunk have the same values
+        on every sweep axis except one. This axis is the frequency if it is swept. Otherwise it is
+        the last axis that does not change the geometry. If every axis changes the geometry, a chunk
+        is a single case.
 
         Parameters
         ----------
         geometry_independent_keys : set of str
-            Scene keys without effect on the geometry.
+            Scene keys that do not change the geometry.
 
         Returns
         -------
@@ -188,12 +191,12 @@ class Plan:
 
     @cached_property
     def pair_count_bounds_and_crack_lengths(self) -> list[tuple[int, float]]:
-        """Upper bound for contact pairs, and first crack's length [m], by geometry.
+        """Upper bound for contact pairs, and first crack's length [m], for each geometry.
 
-        A geometry is a structure shared by several cases. Both numbers are 0 if no case of the
-        geometry is a valid scene. The length is 0 without a crack. It is also 0 if the scene gives
-        a natural frequency in place of the length. To find the bound, solids are meshed and mesh
-        files read.
+        Used to solve the largest structures first. A geometry is a structure shared by several
+        cases. Both numbers are 0 if no case of the geometry is a valid scene. The length is also 0
+        without a crack, and if the scene gives a natural frequency instead of the length. To find
+        the bound, solids are meshed and mesh files read.
         """
         pair_bound_by_mesh: dict[Any, int] = {}
         pair_count_bounds_and_lengths: list[tuple[int, float]] = []
@@ -257,8 +260,8 @@ class Plan:
 def _find_pair_upper_bound(scene: Scene) -> int:
     """Return an upper bound for a scene's number of contact pairs.
 
-    A solid is meshed, and a mesh file is read; for any other plate the bound needs no mesh. If the
-    mesh cannot be made, the bound is 0, since its cases will fail.
+    For a solid the mesh is made, and a mesh file is read. If this fails, the bound is 0, since the
+    cases will fail, too. For any other plate, and for given matrices, the bound needs no mesh.
     """
     if scene.structure is not None:
         return table_pair_upper_bound(scene.structure)
@@ -281,12 +284,14 @@ def _find_pair_upper_bound(scene: Scene) -> int:
 
 
 def _find_keys_sharing_geometry(scene: Scene, swept_keys: Collection[str]) -> set[str]:
-    """Return the scene keys in which cases with a shared structure may differ.
+    """Return the scene keys that cases with the same structure may change.
 
-    The keys are :data:`GEOMETRY_INDEPENDENT_KEYS` and swept crack clearances (``swept_keys`` are
-    the keys in the sweep). They include the force only if each load is a sum of scaled unit forces.
-    This excludes other loads, harmonics or a wave of the force, rotation, and swept keys of [base],
-    [loads] or [rotation].
+    These are :data:`GEOMETRY_INDEPENDENT_KEYS` and swept crack clearances. The force keys are left
+    out unless each case's load is a sum of scaled unit forces. It is not if the scene has other
+    loads than the force, force harmonics, a force wave, or rotation. It is not either if a key of
+    [base], [loads] or [rotation] is swept.
+
+    ``swept_keys`` are the scene keys that the sweep changes.
     """
     geometry_independent_keys = GEOMETRY_INDEPENDENT_KEYS | {
         swept_key for swept_key in swept_keys if re.fullmatch(r"crack.*\.clearance", swept_key)

@@ -241,14 +241,14 @@ class SweepResult(Tabular):
         - ``opening`` to ``closed_share``: indicators of the crack faces, as in :class:`Indicators`
         - ``omega_open`` to ``over_bilinear``: as in :meth:`BilinearFrequencies.nearest`
         - ``omega_open_1`` to ``omega_tied_6``: natural frequencies, crack open or bonded [rad/s]
-        - ``omega_bilinear_1`` to ``omega_bilinear_6``: of open modes and bonded modes of like shape
-        - ``multiplier``: largest modulus, as in :class:`Stability`
-        - ``verdict``: as in :class:`Stability`; empty without a contact law
+        - ``omega_bilinear_1`` to ``omega_bilinear_6``: natural frequencies, breathing crack [rad/s]
+        - ``multiplier``: largest modulus among Floquet multipliers, as in :class:`Stability`
+        - ``verdict``: stability, as in :class:`Stability`; empty without a contact law
         - ``residual_error`` to ``reduction_error``: as in :class:`ErrorReport`
         - ``penetration_share``: as in :class:`ErrorReport`
-        - ``harmonics``, ``iterations``: kept harmonics, Newton iterations
+        - ``harmonics``, ``iterations``: number of harmonics, number of Newton iterations
         - ``crack_length``: length of the first crack, given or found [m]
-        - ``seconds``: wall-clock time
+        - ``seconds``: wall-clock time for the case [s]
         - ``status``: how the case was solved, or why not
         - ``state``: 0 pending, 1 converged, 2 failed
         - ``omega``, ``frequency``: load frequency [rad/s], [Hz]
@@ -342,8 +342,8 @@ class SweepResult(Tabular):
     def failed_indices_and_reasons(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason for each case that could not be solved.
 
-        The index is the position on each sweep axis. Cases with natural frequencies only are
-        included.
+        The index is the position on each sweep axis. Cases for which only natural frequencies were
+        requested are included, as they were not solved.
         """
         return self._find_indices_and_statuses(self["state"] == CaseState.FAILED)
 
@@ -367,11 +367,14 @@ class SweepResult(Tabular):
 
     @property
     def cases_contradicted_by_more_modes(self) -> list[tuple[tuple[int, ...], str]]:
-        """Index and text for each case whose verdict changes with more modes.
+        """Index and text for each case whose verdict on stability changes with more modes.
 
-        The index is the position on each sweep axis. The text has the verdict on stability by more
-        modes. For crack faces without mass, the check is a Newton step with twice the modes. It
-        finds about two in three such cases. To check a single case, use :func:`fenics_crack.solve`.
+        The index is the position on each sweep axis. The text describes the stability with more
+        modes.
+
+        Only crack faces without mass are checked, by one Newton step with twice the modes. The
+        check finds about two in three of all such cases. To check a single case more exactly, use
+        :func:`fenics_crack.solve`.
         """
         indices_and_statuses = self._find_indices_and_statuses(
             self.converged & (self["verdict"] != "undecided")
@@ -525,10 +528,10 @@ class SweepResult(Tabular):
 
     @property
     def quantities(self) -> dict[str, tuple[str, str]]:
-        """Label and unit for the drawn and printed columns, by column name.
+        """Label and unit of the columns to draw and print, by column name.
 
-        The scene's key ``output.quantities`` chooses the columns. Without this key, the columns are
-        those drawn by default.
+        The scene's key ``output.quantities`` chooses the columns. Without this key, there is a
+        default choice.
         """
         label_by_point, label_and_unit_by_column = self.scene.label_by_displacement_name, {}
         for quantity_name in self.scene.quantities or observable_names(
@@ -664,9 +667,9 @@ class SweepResult(Tabular):
         )
 
     def _repr_text(self) -> str:
-        """Return a short description: values on each axis, cases in each state.
+        """Return a short description: number of values on each axis, number of cases in each state.
 
-        States are pending, converged and failed; those without cases are left out.
+        The states are pending, converged and failed. A state without cases is not named.
         """
         state_names_and_case_counts = zip(
             CASE_STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True
@@ -685,11 +688,12 @@ class SweepResult(Tabular):
 
 
 def has_omitted_options(sweep_header: StoredFile) -> bool:
-    """Return True if computations were left out in a sweep's file.
+    """Return True if a sweep was run with computations left out.
 
-    These are stability, the reduction error, or some vibrations: options ``verdicts``, ``judged``
-    and ``natural`` of :func:`run_sweep`. Files of the command ``sweep`` leave out none.
-    ``sweep_header`` may be the header of any result file.
+    The options ``verdicts``, ``judged`` and ``natural`` of :func:`run_sweep` leave out the
+    stability, the reduction error, or the vibration of chosen cases. The command ``sweep`` leaves
+    out none. ``sweep_header`` is the header of a result file; for another result than a sweep, the
+    answer is False.
     """
     return sweep_header.kind == KIND and bool(sweep_header.attributes.get("omitted"))
 
