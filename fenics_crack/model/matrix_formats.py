@@ -70,7 +70,7 @@ class LabelledMatrix:
     held_labels: np.ndarray | None = None
 
     def with_rows_of(self, stiffness: LabelledMatrix) -> sparse.csr_matrix:
-        """Return this matrix (n, n) with the n rows and columns in the order of the stiffness.
+        """Return this matrix with rows and columns in the order of the stiffness: (n, n).
 
         A row missing in this matrix becomes zero. A row is left out if the dof is clamped in the
         stiffness. If either matrix has no labels, this matrix is returned unchanged.
@@ -576,7 +576,8 @@ def _read_header_and_sizes(
     lines : iterator of str
         Lines of the file. Afterwards the iterator stands at the first entry.
     allowed_bytes : int
-        Size [byte] of the file's text, to refuse a file with too many announced entries.
+        Maximum size [byte] of the file's text. Used to refuse a file with too many announced
+        entries.
 
     Returns
     -------

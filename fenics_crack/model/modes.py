@@ -749,7 +749,7 @@ def damped_count_and_max_omega_or_none(structure: Structure) -> tuple[int, float
         Highest frequency of a damped mode; 0 without damping. All modes above are undamped.
     None
         Instead of both, if the highest mode is damped, or if the damping is a matrix. Rayleigh
-        damping always damps the highest mode.
+        damping above 0 damps the highest mode.
 
     Raises
     ------

@@ -123,7 +123,7 @@ def describe_nearest_node(points: np.ndarray, point: Sequence[float] | np.ndarra
     points : (n, d) [m]
         Positions of the nodes.
     point : (d,) [m]
-        The point.
+        Point whose nearest node is named.
     """
     nearest_point = points[np.argmin(np.linalg.norm(points - point, axis=1))]
     return f"the nearest node is at {format_point(nearest_point)}"

@@ -81,9 +81,9 @@ class Receptance:
         """Return static responses that omit only the first ``n_kept_modes`` modes.
 
         The responses are Y^T G X: displacements along the columns of a matrix Y (m columns) by the
-        unit forces X on pairs and load. The modes beyond the first ``n_kept_modes`` are added to a
-        response without any of this object's modes. G is the static flexibility of all modes except
-        the first ``n_kept_modes``.
+        unit forces X on pairs and load. G is the static flexibility of all modes except the first
+        ``n_kept_modes``. This object's modes beyond the first ``n_kept_modes`` are added to
+        ``residual_part``.
 
         Parameters
         ----------
@@ -172,7 +172,7 @@ def make_empty_shared_receptance_list(structure: Structure) -> list[Receptance]:
     """Return an empty list, in which structures share a cached receptance.
 
     Structures with the same matrices share the list, whatever the load. The list holds the
-    receptance computed last. It does not refer to ``structure``.
+    receptance computed last. The list does not refer to ``structure``.
     """
     return []
 
