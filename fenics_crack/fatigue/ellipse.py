@@ -113,7 +113,8 @@ class EllipseTable:
     def with_every_second_size(self) -> EllipseTable:
         """Return a coarser table with every second depth and length.
 
-        The change of the life with this table shows the interpolation error.
+        The life with this table is compared with the full table's life, to estimate the
+        interpolation error.
         """
         coarse_column_by_name = {
             column_name: column[::2, ::2] for column_name, column in self.column_by_name.items()
@@ -122,10 +123,22 @@ class EllipseTable:
 
 
 def _compute_column_scales_at_depths(column_name: str, depths: np.ndarray) -> np.ndarray:
-    """Return how a column scales with depths (n,) [m]: (n,).
+    """Return a column's divisors for interpolation.
 
-    Stress intensities and their ranges scale with sqrt(depth), and are interpolated after division
-    by this root; other columns have factors of 1.
+    Stress intensities and their ranges grow like sqrt(depth), and have the factor sqrt(depth).
+    Other columns have the factor 1.
+
+    Parameters
+    ----------
+    column_name : str
+        Names of stress intensities and ranges begin with "K" or "delta_K".
+    depths : (n,) [m]
+        Crack depths.
+
+    Returns
+    -------
+    (n,)
+        Factors.
     """
     is_stress_intensity = column_name.startswith(("K", "delta_K"))
     return np.sqrt(depths) if is_stress_intensity else np.ones_like(depths)
@@ -163,13 +176,15 @@ def compute_growth_per_cycle(
 ) -> np.ndarray:
     """Return the growth of depth and length in a load cycle: (n, 2) [m].
 
-    Let delta K_a be the equivalent range of K_I [MPa m^0.5] at the deepest point, and delta K_c the
-    same at the ends on the face (:data:`EQUIVALENT_RANGE_COLUMN_NAMES`). Then
+    Let a be the depth, l the length along the face, and N the number of cycles. Growth is driven by
+    equivalent ranges of K_I [MPa m^0.5]: delta K_a at the deepest point, and delta K_c at the ends
+    on the face (:data:`EQUIVALENT_RANGE_COLUMN_NAMES`). With C and m of the growth law,
 
         da/dN = C delta K_a^m,      dl/dN = n_surface_ends C delta K_c^m.
 
-    If the effective range (of K_I while the tip is open) is below ``growth.threshold``, the growth
-    is 0. Just above the threshold it rises linearly (:data:`THRESHOLD_RAMP_FRACTION`).
+    The effective range is the range of K_I while the crack tip is open. Below ``growth.threshold``
+    nothing grows. Just above the threshold, growth rises linearly from 0
+    (:data:`THRESHOLD_RAMP_FRACTION`).
 
     Parameters
     ----------
@@ -209,13 +224,19 @@ def integrate_ellipse_growth(
 ) -> EllipseSizePath:
     """Integrate the growth of a half-ellipse from a table's first shape.
 
-    Growth ends as :attr:`EllipseSizePath.end_reason` describes. ``n_surface_ends`` is the number of
-    crack ends on the face: 2, or 1 for a quarter-ellipse at an edge. ``law`` is the table
-    ``[growth]``.
+    Growth ends as :attr:`EllipseSizePath.end_reason` describes. The integration variable is the sum
+    s of the growth in depth a and in length l. With the load cycles N, dN/ds = 1 / (da/dN + dl/dN).
+    With this variable, da/ds and dl/ds are bounded, and integration also works if the depth stops
+    growing.
 
-    The integration variable s is the sum of the growth in depth a and length l. Then da/ds and
-    dl/ds are bounded, and dN/ds = 1 / (da/dN + dl/dN) for the cycles N. The integration also works
-    if the depth stops growing.
+    Parameters
+    ----------
+    ellipse_table : EllipseTable
+        Solved shapes; growth starts from the smallest depth and length.
+    law : Growth
+        Table ``[growth]``.
+    n_surface_ends : int
+        Number of crack ends on the face: 2, or 1 for a quarter-ellipse at an edge.
     """
     from scipy.integrate import solve_ivp
 
@@ -286,8 +307,8 @@ def estimate_ellipse_life_error(
 ) -> float:
     """Estimate the relative error of the cycles by interpolation between shapes.
 
-    The error is a quarter of abs(ln(N_coarse / N)). N are the cycles in ``ellipse_path``, N_coarse
-    those from every second depth and length. The result is 0 if N or N_coarse is 0.
+    N cycles are in ``ellipse_path``, and N_coarse cycles follow with every second depth and length.
+    The error is abs(ln(N_coarse / N)) / 4, or 0 if N or N_coarse is 0.
 
     Parameters
     ----------
@@ -366,14 +387,22 @@ def _ellipse_in_words(sweep_result: SweepResult, case_index: tuple[int, ...]) ->
 def list_failed_ellipse_remarks(
     sweep_result: SweepResult, ellipse_table: EllipseTable, ellipse_path: EllipseSizePath
 ) -> list[str]:
-    """Return a remark on failed shapes, if the growing crack stays away from them.
+    """Return a list with a remark on unsolved shapes.
 
-    The list is empty if no shape has failed.
+    The remark says: growth stays away from failed shapes. The list is empty if no shape has failed.
+
+    Parameters
+    ----------
+    sweep_result : SweepResult
+        Cases over depth and length.
+    ellipse_table, ellipse_path : EllipseTable, EllipseSizePath
+        Shapes of the sweep, and along the growth.
 
     Raises
     ------
     ConvergenceError
-        Growth passes between the next smaller and next larger sizes of a failed shape.
+        Growth comes near to a failed shape: depth and length are both between the next smaller and
+        next larger sizes in the table.
     """
     table_and_path_sizes = (
         (ellipse_table.depths, ellipse_path.depth),

@@ -106,7 +106,7 @@ class Growth(SavableResult):
         Half the peak-to-peak displacement of the load's point, in the load's direction.
     largest, smallest, effective, sliding : (n,) [Pa m^0.5]
         Largest K_I, smallest K_I, range of K_I while the crack tip is open, and largest K_II of
-        either sign. In a solid they belong to the front station with the largest such range. For a
+        either sign. In a solid all belong to the front station with the largest range of K_I. For a
         spectrum, ``largest`` and ``effective`` are maxima over the loads; ``smallest`` and
         ``sliding`` belong to the load with most growth.
     rate : (n,) [m]
@@ -120,9 +120,10 @@ class Growth(SavableResult):
         Solved lengths, or (k, 2) depths and lengths for a half-ellipse. Splines connect them.
     errors : dict of str to float
         Standard deviations of ln(cycles) by cause: "rate" and "exponent" of the growth law,
-        "interpolation" between solved lengths, and "vibration". The last is m times the relative
-        error of the range after half of the cycles, by mesh, modes and harmonics. For a spectrum,
-        the change of ln(cycles) by loads moved below the threshold by this error is added.
+        "interpolation" between solved lengths, and "vibration". "vibration" is the exponent m times
+        the relative error of the range of K_I after half of the cycles; causes of this error are
+        mesh, modes and harmonics. For a spectrum, this error may also move loads below the
+        threshold; the change of ln(cycles) is then added.
     remarks : tuple of str
         Doubts about the growth, as sentences.
     depth : (n,) [m] or None
@@ -192,7 +193,10 @@ class Growth(SavableResult):
         return float(np.interp(cycles, self.cycles, self.length, right=math.nan))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table's columns by name, with an entry for each length."""
+        """Return columns by name, with an entry for each crack length.
+
+        The result's table and files show the same columns.
+        """
         repeat_counts = self.repeats
         values_by_column = {
             **({} if repeat_counts is None else {"repeats": repeat_counts}),
@@ -419,7 +423,15 @@ def grow(
 def _get_values_by_growth_field(
     values_by_column: Mapping[str, np.ndarray], cycles: np.ndarray
 ) -> dict[str, Any]:
-    """Return fields of :class:`Growth` from columns over load cycles (n,)."""
+    """Return fields of :class:`Growth` by name: cycles, time, frequencies and stress intensities.
+
+    Parameters
+    ----------
+    values_by_column : dict of str to (n,)
+        Values at n crack lengths, by name of the sweep's column.
+    cycles : (n,)
+        Load cycles until each crack length.
+    """
     from scipy.integrate import cumulative_trapezoid  # takes a while, and is needed here alone
 
     values_by_field = {
@@ -447,7 +459,7 @@ def _collect_life_error_by_cause(
     law : Growth
         Table ``[growth]`` with C, m and their standard deviations.
     growth_rates, cycles : (n,) [m], [-]
-        Growth in a load cycle, and the cycles until then.
+        Growth in a load cycle at each crack length, and load cycles until this length.
     stress_intensity_range_error : float
         Relative error of the range of K_I.
     interpolation_error : float
@@ -616,23 +628,24 @@ def _collect_ellipse_remarks(
 ) -> list[str]:
     """Return the doubts about the growth of a half-ellipse, as sentences.
 
-    They are about failed shapes, uncertain stability, a turning crack, and a passed resonance.
+    Subjects are failed shapes, vibrations not known to be stable, a turning crack, and a natural
+    frequency crossing the load frequency.
 
     Parameters
     ----------
     sweep_result : SweepResult
         Cases over depth and length, failed ones included.
     ellipse_table, ellipse_path : EllipseTable, EllipseSizePath
-        Shapes in the sweep, and along the growth.
+        Shapes of the sweep, and n shapes along the growth.
     values_by_column : dict of str to (n,)
-        Columns along the growth.
+        Values at the n shapes along the growth, by name of the sweep's column.
     law : Growth
         Table ``[growth]``.
 
     Raises
     ------
     ConvergenceError
-        A failed shape is next to the growth.
+        Growth comes near to a failed shape.
     """
     n_not_stable_shapes = int((sweep_result.not_stable & sweep_result.converged).sum())
     remark_texts = list_failed_ellipse_remarks(sweep_result, ellipse_table, ellipse_path)
@@ -761,9 +774,10 @@ def _collect_growth_remarks(
     length_path : LengthPath
         Solved lengths.
     intensity_jump_lengths : list of float [m]
-        Lengths at which splines of the range miss solutions (:func:`solve_lengths_to_tolerance`).
+        Lengths near a jump of K_I, so a spline through the solved lengths is not accurate
+        (:func:`solve_lengths_to_tolerance`).
     values_by_column, lengths : dict of str to (n,), (n,) [m]
-        Columns and lengths along the growth.
+        Values at n lengths along the growth, by name of the sweep's column; and the n lengths.
     stress_intensity_range_error : float
         Relative error of the range of K_I; nan if unknown.
     end_reason : str

@@ -60,11 +60,13 @@ class LengthPath:
     lengths : (k,) [m]
         Solved lengths in ascending order.
     column_values_by_name : dict of str to (k,)
-        Columns :data:`LOG_INTERPOLATED_COLUMN_NAMES` and :data:`VALUE_INTERPOLATED_COLUMN_NAMES`.
+        Values at each length: frequencies [rad/s], response [m], stress intensities and ranges [Pa
+        m^0.5]. Names are in :data:`LOG_INTERPOLATED_COLUMN_NAMES` and
+        :data:`VALUE_INTERPOLATED_COLUMN_NAMES`.
     sweep_results : sequence of SweepResult
         Sweeps with the solutions.
     omega_with_most_growth : (k,) [rad/s]
-        Load frequency with most of the growth at each length.
+        Load frequency with most growth in the spectrum, at each length.
     law : Growth
         Table ``[growth]``.
     """
@@ -79,14 +81,15 @@ class LengthPath:
     def from_sweeps(cls, sweep_results: Sequence[SweepResult], law: Law) -> LengthPath:
         """Return the path of all lengths solved in sweeps.
 
-        A length counts if all loads of the spectrum are solved. The natural frequencies belong to
-        the mode nearest to the leading load at the first length (:func:`find_nearest_mode_number`).
+        A length is left out if any load of the spectrum is not solved. All natural frequencies
+        belong to the same mode (:func:`find_nearest_mode_number`). At the first length, this mode
+        is the nearest to the load frequency with most growth.
 
         Parameters
         ----------
         sweep_results : sequence of SweepResult
-            Sweeps over the crack length, and the load frequency for a spectrum. The first sweep
-            has no failed case, and begins with the shortest length.
+            Sweeps over the crack length, and the load frequency for a spectrum. The first sweep has
+            no failed case, and begins with the shortest length.
         law : Growth
             Table ``[growth]``.
         """
@@ -185,8 +188,9 @@ class LengthPath:
     def compute_growth_rates(self, lengths: np.ndarray) -> np.ndarray:
         """Return da/dN [m] at lengths [m]: an array of the same shape.
 
-        The rate is C delta K^m. delta K [MPa m^0.5] is the column "driving": the range of K_I with
-        the growth of all loads (:func:`_reduce_load_levels_to_columns`).
+        The rate is C delta K^m, with C and m of the growth law. delta K [MPa m^0.5] is a constant
+        range of K_I with the same growth as all loads of the spectrum: the column "driving"
+        (:func:`_reduce_load_levels_to_columns`).
         """
         driving_ranges = self.interpolate_column("driving", lengths)
         return np.asarray(self.law.rate * (driving_ranges / 1e6) ** self.law.exponent)
@@ -229,13 +233,23 @@ class LengthPath:
     def estimate_life_error_by_threshold(
         self, lengths: np.ndarray, cycles: np.ndarray, range_error: float
     ) -> float:
-        """Return the error of ln(life) by loads of a spectrum that may fall below the threshold.
+        """Estimate how an error of K_I changes ln(life) through the threshold.
 
-        All ranges of K_I may be too high by the relative ``range_error`` e. Their decrease acts
-        like a threshold raised to threshold / (1 - e). Then more loads cause no growth, and the
-        life is longer. The increase of ln(life) is returned; 0 without a spectrum, without a
-        threshold, or unless 0 < e < 1. ``lengths`` [m] and ``cycles``, both (n,), describe the
-        growth.
+        All ranges of K_I may be too high by the relative error e. Loads of a spectrum may then in
+        truth be below the threshold, and cause no growth. Lower ranges act like a threshold raised
+        to threshold / (1 - e), so the life is longer.
+
+        Parameters
+        ----------
+        lengths, cycles : (n,) [m], [-]
+            Crack lengths along the growth, and load cycles until each length.
+        range_error : float
+            The relative error e.
+
+        Returns
+        -------
+        float
+            Increase of ln(life); 0 without a spectrum, without a threshold, or unless 0 < e < 1.
         """
         law = self.law
         is_threshold_relevant = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
@@ -284,15 +298,16 @@ def list_failed_lengths_and_reasons(
 def _reduce_load_levels_to_columns(
     load_level_values_by_column: dict[str, np.ndarray], law: Law, level_cycles: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Reduce values at the loads of a spectrum to a column over lengths.
+    """Combine values at the loads of a spectrum to a value for each length.
 
-    The column "driving" is the range of constant amplitude with the same growth,
+    The column "driving" is a constant range of K_I with the same growth as all loads,
 
         (sum n_i delta K_i^m / sum n_i)^(1 / m),
 
-    with n_i cycles at load i. delta K_i is the range of K_I from 0 with equal growth in a period.
-    Loads with a range below the threshold while the crack tip is open are left out, if any load is
-    above the threshold.
+    with n_i cycles at load i, and m of the growth law. A cycle of K_I from 0 to delta K_i causes
+    the same growth as a period of load i. The effective range is the range of K_I while the crack
+    tip is open. If any load has an effective range above the threshold, loads below the threshold
+    are left out.
 
     Parameters
     ----------
@@ -306,8 +321,8 @@ def _reduce_load_levels_to_columns(
     Returns
     -------
     dict of str to (k,)
-        "K_max" and "delta_K_effective" are maxima; "omega" is the mean frequency. Other columns
-        are from the load with most growth.
+        "K_max" and "delta_K_effective" are maxima; "omega" is the mean frequency. Other columns are
+        from the load with most growth.
     (k,) [rad/s]
         Frequency of the load with most growth.
     """
@@ -348,10 +363,13 @@ def solve_lengths_to_tolerance(
     """Solve crack lengths until interpolation gives the cycles precisely (collective).
 
     The first round has five lengths from ``crack.length`` to ``growth.until``. Up to five further
-    rounds halve intervals. They end when two errors are small. The cycles' relative error is below
-    ``growth.life_tolerance``. For the range delta K of K_I, the error of ln delta K is at most 0.05
-    everywhere (:data:`MAX_ALLOWED_LOG_RANGE_ERROR`). Round n is stored in ``folder``/growth_n.h5;
-    nothing is stored if ``folder`` is None.
+    rounds halve intervals. The rounds end when two errors are small:
+
+    - the relative error of the cycles is at most ``growth.life_tolerance``;
+    - the error of ln delta K, with the range delta K of K_I, is at most 0.05 in every interval
+      (:data:`MAX_ALLOWED_LOG_RANGE_ERROR`).
+
+    Round n is stored in ``folder``/growth_n.h5; nothing is stored if ``folder`` is None.
 
     Returns
     -------
@@ -484,19 +502,20 @@ def sweep_crack_sizes(
 def _estimate_interval_log_range_errors(
     previous_path: LengthPath, length_path: LengthPath, previous_errors: np.ndarray
 ) -> np.ndarray:
-    """Return errors of the spline for ln delta K between lengths: (k - 1,).
+    """Return errors of the spline for ln delta K between k solved lengths: (k - 1,).
 
-    Two splines are compared: through the lengths before and after the last sweep. In an interval
-    halved by the sweep, the error is a quarter of the larger difference at the ends. In other
-    intervals it is the previous error or, if larger, the difference in the middle. A resonance
-    found by the sweep changes the spline in these intervals, too.
+    delta K is the column "driving" (:func:`_reduce_load_levels_to_columns`). Two splines are
+    compared: through the lengths before and after the last sweep. In an interval halved by the
+    sweep, the error is a quarter of the larger difference at the ends. In other intervals it is the
+    previous error or, if larger, the difference in the middle. A resonance found by the sweep
+    changes the spline in these intervals, too.
 
     Parameters
     ----------
     previous_path, length_path : LengthPath
-        Solved lengths before and after the last sweep.
+        Solved lengths before and after the last sweep: j and k lengths.
     previous_errors : (j - 1,)
-        Errors between the j lengths of the previous path.
+        Errors between the j lengths, for the previous path's spline.
     """
 
     def compute_log_range_difference(lengths: np.ndarray) -> np.ndarray:

@@ -21,8 +21,9 @@ from fenics_crack.model.nodes import ClampReactionData, Nodes, Pairs
 class Body(ReadOnlyArrays):
     """Constant data of a structure: matrices, load, gaps; arrays are read-only.
 
-    The fields are the attributes of :class:`Structure`, before the factors and the added clearance
-    of a :class:`LoadDampingClearanceSetting`. The load includes the mean load due to rotation.
+    Fields have the names and meanings of attributes in :class:`Structure`. The values are those
+    before variation: a :class:`LoadDampingClearanceSetting` holds the factors and the added
+    clearance. The load includes the mean load due to rotation.
     """
 
     mass: Any
@@ -74,15 +75,15 @@ class LoadDampingClearanceSetting:
     Attributes
     ----------
     load_weights : float or (2K+1, 2K+1)
-        Factor of the load, or matrix that maps the load's rows (mean, cosine and sine parts).
+        Factor of the load, or matrix that multiplies the load's rows: mean, then cosine and sine
+        part of each harmonic 1 to K.
     damping_multiplier : float
         Factor of the damping.
     added_clearance : float or (n_pairs,) [m]
         Clearance added to each pair.
     watched_dof : int or None
-        Dof that results report if no dof is named, by its number in the whole structure. None: the
-        body's ``watched``, else the load, selects the dof
-        (:attr:`DofsAndContactPairs.watched_dof`).
+        Dof for results without a named dof, numbered in the whole structure. None:
+        :attr:`DofsAndContactPairs.watched_dof` selects the dof.
     """
 
     load_weights: float | np.ndarray = 1.0
@@ -93,9 +94,10 @@ class LoadDampingClearanceSetting:
     def combine_with(
         self, later_setting: LoadDampingClearanceSetting
     ) -> LoadDampingClearanceSetting:
-        """Combine this setting with a later one: factors multiply, clearances add.
+        """Return the setting that has the effect of this one and then a later one.
 
-        The watched dof is the later one, unless it is None.
+        Factors of load and damping are multiplied, and added clearances are summed. The watched dof
+        is the later setting's, or this setting's if the later has none.
         """
         watched_dof = (
             self.watched_dof if later_setting.watched_dof is None else later_setting.watched_dof

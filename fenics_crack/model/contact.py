@@ -174,17 +174,17 @@ class LayeredPenalty(_PenaltyBase):
 
     @property
     def row_stiffnesses(self) -> tuple[float | np.ndarray, ...]:
-        """Stiffnesses a k and (1 - a) k of the two springs of a pair, side by side [N/m].
+        """Stiffnesses [N/m] of a pair's two parallel springs, as (a k, (1 - a) k).
 
-        Each is a number or (n_pairs,). The first spring acts from gap 0 on, the second one from the
-        layer's depth on. k is the law's stiffness and a the layer's share.
+        The first spring acts from gap 0 on, the second spring from the layer's depth on. k is the
+        law's stiffness and a the layer's share. Each stiffness is a number or (n_pairs,).
         """
         return self.layer_share * self.stiffness, (1.0 - self.layer_share) * self.stiffness
 
     def force(self, gap: np.ndarray) -> np.ndarray:
         """Return the contact forces [N] for gaps g (..., n_pairs) [m]: the same shape.
 
-        A gap g > 0 is penetration. The class has the equation.
+        A gap g > 0 is penetration. The equation stands in :class:`LayeredPenalty`.
         """
         soft_layer_stiffness, deep_stiffness = self.row_stiffnesses
         soft_layer_force = soft_layer_stiffness * np.maximum(gap, 0.0)
@@ -416,10 +416,18 @@ def add_pair_for_each_contact_force(contact: object, structure: Structure) -> St
 
 
 def law_of_rows(contact: ContactLaw, n_pairs: int) -> ContactLaw:
-    """Return the law for the gaps of the structure from :func:`add_pair_for_each_contact_force`.
+    """Return the law for a structure with one pair for each scalar contact force.
 
-    Under the layered law, that structure has every pair twice. The result is then the penalty law
-    with one stiffness for each copy, (2 n_pairs,). Any other law is returned itself.
+    The structure is made by :func:`add_pair_for_each_contact_force`. Under the layered law, every
+    pair occurs twice in that structure. The penalty law with one stiffness for each copy, (2
+    n_pairs,), is then returned. Any other law is returned unchanged.
+
+    Parameters
+    ----------
+    contact : ContactLaw
+        Law of the original structure.
+    n_pairs : int
+        Number of pairs in the original structure.
     """
     if not is_layered(contact):
         return contact
@@ -427,13 +435,21 @@ def law_of_rows(contact: ContactLaw, n_pairs: int) -> ContactLaw:
 
 
 def spring_compliances(contact: ContactLaw, n_pairs: int) -> np.ndarray:
-    """Return the compliances 1/k of the contact springs.
+    """Return the compliances 1/k of all contact springs.
+
+    Parameters
+    ----------
+    contact : ContactLaw
+        Law with the spring stiffnesses k.
+    n_pairs : int
+        Number of contact pairs.
 
     Returns
     -------
     (n_pairs,) or (2 n_pairs,) [m/N]
-        1/k of each pair's normal spring. With friction, 1/k_t of the tangential springs follow.
-        Under the layered law: first the springs of the layer, then the springs below the layer.
+        Compliance of each pair's normal spring. With friction, the compliances of all tangential
+        springs follow. Under the layered law, the springs of the layer come first, then the springs
+        below the layer.
     """
     friction = friction_of(contact)
     row_stiffnesses: tuple[float | np.ndarray, ...] = (contact.stiffness,)
@@ -465,14 +481,19 @@ def merge_layers_of_pairs(
 
     Parameters
     ----------
+    contact : ContactLaw
+        Contact law.
+    n_pairs : int
+        Number of contact pairs.
     gaps, forces : (n, n_rows) [m], [N]
-        Values at n instants, or n Fourier coefficients. The columns are the pairs of the structure
-        from :func:`add_pair_for_each_contact_force`.
+        Values at n instants, or n Fourier coefficients, for the n_rows scalar contact forces
+        (:func:`add_pair_for_each_contact_force`).
 
     Returns
     -------
     gaps, forces : (n, n_pairs) [m], [N]
-        With friction normal columns, then tangential ones: (n, 2 n_pairs).
+        Values for each pair. With friction, (n, 2 n_pairs): all normal columns, then all tangential
+        columns.
     """
     if not is_layered(contact):
         return gaps, forces
@@ -482,10 +503,11 @@ def merge_layers_of_pairs(
 def split_pairs_into_layers(
     contact: object, gaps: np.ndarray, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return Fourier coefficients for the two springs of each pair under the layered law.
+    """Split each pair's gap and force into two springs, under the layered law.
 
-    The pair's total force is assigned to the first spring: both springs act on the structure alike.
-    Under any other law, gaps and forces are returned unchanged.
+    The first spring gets the gap of the pair. The second spring's mean gap is smaller by the
+    layer's depth. The first spring gets the whole force, since both springs act on the structure
+    alike. Under any other law, gaps and forces are returned unchanged.
 
     Parameters
     ----------
@@ -533,7 +555,7 @@ def is_rigid(contact: object) -> TypeGuard[UnilateralConstraint]:
 
 
 def is_layered(contact: object) -> TypeGuard[LayeredPenalty]:
-    """Return True for the layered law, with two rows for each pair."""
+    """Return True for the layered law, in which each pair has two springs."""
     return isinstance(contact, LayeredPenalty)
 
 
@@ -545,8 +567,8 @@ def is_piecewise_linear(contact: object) -> TypeGuard[UnilateralPenalty | Layere
 def is_unilateral(contact: object) -> bool:
     """Return True for the penalty law, the layered law and rigid contact, also with friction.
 
-    Every normal gap is then either open or closed, and so are both springs of a layered pair. Exact
-    integrals and exact flows require this.
+    Under these laws every spring is either open or closed. Exact integration between two contact
+    events requires this.
     """
     return is_piecewise_linear(contact) or is_rigid(contact)
 
@@ -848,7 +870,7 @@ class ActiveSetSolver:
     def solve(
         self, gap: np.ndarray, is_closed: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Find the contact forces at each instant.
+        """Find contact forces and closed pairs at each instant.
 
         Parameters
         ----------
@@ -868,8 +890,8 @@ class ActiveSetSolver:
         Raises
         ------
         ConvergenceError
-            The forces at an instant do not exist, or were not found. Before the error, an instant
-            at which the set of closed pairs repeats without end is solved by least squares.
+            The forces at an instant do not exist, or were not found: neither by correcting the set
+            of closed pairs, nor by least squares.
         """
         gap = require_shape(gap, len(gap), len(self.compliance_matrix))
         closed_guess = gap > 0.0 if is_closed is None else np.array(is_closed)
@@ -894,14 +916,18 @@ class ActiveSetSolver:
 def solve_complementarity(
     matrix: np.ndarray, gap: np.ndarray, is_closed: np.ndarray | None = None
 ) -> np.ndarray:
-    """Find lambda with 0 <= lambda, D lambda - g >= 0, lambda^T (D lambda - g) = 0.
+    """Find contact forces lambda without penetration, from a compliance D and gaps g.
+
+        0 <= lambda,      D lambda - g >= 0,      lambda^T (D lambda - g) = 0
+
+    A set of positions with lambda > 0 is guessed, and corrected step by step.
 
     Parameters
     ----------
     matrix : (n, n)
-        D, positive definite, and symmetric but for a small part.
+        D, positive definite, and nearly symmetric.
     gap : (n,)
-        g.
+        g, the gaps without contact forces; g > 0 is penetration.
     is_closed : (n,) bool, optional
         First guess of the positions with lambda > 0.
 
@@ -924,17 +950,20 @@ def solve_complementarity(
 def solve_complementarity_by_least_squares(
     compliance_matrix: np.ndarray, gap: np.ndarray
 ) -> np.ndarray:
-    """Find lambda with 0 <= lambda, D lambda - g >= 0, lambda^T (D lambda - g) = 0.
+    """Find contact forces lambda without penetration, from a compliance D and gaps g.
 
-    The problem with the symmetric part of D is solved by non-negative least squares. An iteration
-    of at most 200 steps adds the unsymmetric part.
+        0 <= lambda,      D lambda - g >= 0,      lambda^T (D lambda - g) = 0
+
+    A slower method, for cases in which :class:`ActiveSetSolver` fails. The problem with the
+    symmetric part of D is solved by non-negative least squares. An iteration of at most 200 steps
+    adds the unsymmetric part.
 
     Parameters
     ----------
     compliance_matrix : (n, n)
-        D, positive definite, and symmetric but for a small part.
+        D, positive definite, and nearly symmetric.
     gap : (n,)
-        g.
+        g, the gaps without contact forces; g > 0 is penetration.
 
     Returns
     -------

@@ -108,16 +108,16 @@ def expand_to_pairs(name: str, data: Any, n_pairs: int) -> np.ndarray:
 
 
 def make_petsc_matrix(name: str, data: Any, comm: MPI.Comm, n: int | None = None) -> Any:
-    """Make a square PETSc matrix from any matrix (collective).
+    """Make a square PETSc matrix from a matrix of any kind (collective).
 
     Parameters
     ----------
     name : str
-        Key of errors.
+        Name of the matrix in error messages.
     data : array, sparse matrix, PETSc.Mat, or path of a Matrix Market file
-        A PETSc matrix keeps its ranks; all others must be whole on every rank.
+        A PETSc matrix keeps the ranks it has. Any other matrix must be whole on every rank.
     comm : MPI.Comm
-        Ranks that share the result.
+        Ranks that share the result, unless ``data`` is a PETSc matrix.
     n : int, optional
         Required number of rows.
 
@@ -144,10 +144,22 @@ def make_petsc_matrix(name: str, data: Any, comm: MPI.Comm, n: int | None = None
 
 
 def _load_matrix(name: str, data: Any, n_rows: int | None) -> Any:
-    """Read a Matrix Market file, or check a matrix in memory.
+    """Return a matrix from memory or from a Matrix Market file, with real entries.
 
-    InputError: the file cannot be read or lacks ``n_rows`` rows, or the matrix is not real or has
-    more than two dimensions.
+    Parameters
+    ----------
+    name : str
+        Name of the matrix in error messages.
+    data : array, sparse matrix, or path of a file
+        The matrix.
+    n_rows : int or None
+        Required number of rows in a file. None: any.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or has another number of rows. Or the matrix is not real, or has
+        more than two dimensions.
     """
     if isinstance(data, str | Path):
         with report_read_errors(name, data, "a Matrix Market file"):
@@ -165,10 +177,21 @@ def _load_matrix(name: str, data: Any, n_rows: int | None) -> Any:
 
 
 def make_whole_csr_matrix(name: str, data: Any, n: int) -> sparse.csr_matrix:
-    """Return a vector or matrix whole on every rank, as a matrix (n, m).
+    """Return a vector or matrix as a sparse matrix (n, m), whole on every rank.
 
-    ``data`` is an array, a PETSc object, which is gathered from all ranks (collective), or the path
-    of a Matrix Market file. ``name`` is the key of errors.
+    Parameters
+    ----------
+    name : str
+        Name of the matrix in error messages.
+    data : array, sparse matrix, PETSc object, or path of a Matrix Market file
+        Vector or matrix with n rows. A PETSc object is gathered from all ranks (collective).
+    n : int
+        Number of rows.
+
+    Raises
+    ------
+    InputError
+        The number of rows differs, or an entry cannot be used.
     """
     if isinstance(data, PETSc.Vec):
         data = gather_rows(data.comm.tompi4py(), data.array_r)
@@ -189,8 +212,8 @@ def make_whole_csr_matrix(name: str, data: Any, n: int) -> sparse.csr_matrix:
 def _check_entries(name: str, entries: np.ndarray) -> None:
     """Raise InputError unless all entries are finite and well scaled.
 
-    The largest entry must be 0, or from 1e-60 to 1e60 in size: powers then neither overflow nor
-    vanish.
+    The largest absolute entry must be 0, or between 1e-60 and 1e60. Powers of entries then neither
+    overflow nor become zero. ``name`` is the matrix's name in the error message.
     """
     magnitudes = np.abs(entries)
     if not np.all(np.isfinite(magnitudes)):
@@ -278,11 +301,20 @@ def check_and_distribute_parts(
 
 
 def _load_rows_from_parts(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
-    """Return a load's Fourier coefficients from its mean, cosine and sine part: (2K+1, n).
+    """Combine a load's mean, cosine and sine part into an array of Fourier coefficients.
 
-    The rows are the mean, then cosine and sine of each harmonic 1 to K. ``load_parts`` has the
-    mean, cosine and sine part, in this order. Column k of a part (n, K) is harmonic k. The mean has
-    one column. The keys name the parts in errors.
+    Parameters
+    ----------
+    load_parts : dict of str to (n, K) or None
+        Mean, cosine part and sine part, in this order. Column k of the cosine and sine part belongs
+        to harmonic k; the mean has a single column. Error messages name a part by the key.
+    n : int
+        Number of dofs.
+
+    Returns
+    -------
+    (2K+1, n)
+        Mean, then cosine and sine part of each harmonic 1 to K.
     """
     max_n_columns_by_key = {"force_mean": 1}
     load_rows_of_each_part = [
@@ -296,9 +328,23 @@ def _load_rows_from_parts(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
 
 
 def _read_load_columns_as_rows(name: str, data: Any, n: int, max_n_columns: int = 1) -> np.ndarray:
-    """Read up to ``max_n_columns`` columns (n, m) as rows (m, n).
+    """Return the columns of a load's part as rows (m, n).
 
-    None gives one row of zeros. InputError, with the key ``name``: the shape does not fit.
+    Parameters
+    ----------
+    name : str
+        Name of the part in error messages.
+    data : (n,), (n, m) or None
+        Part of the load; None stands for a single column of zeros.
+    n : int
+        Number of dofs.
+    max_n_columns : int
+        Largest allowed number m of columns.
+
+    Raises
+    ------
+    InputError
+        The shape does not fit.
     """
     columns = sparse.csr_matrix((n, 1)) if data is None else make_whole_csr_matrix(name, data, n)
     if not 1 <= columns.shape[1] <= max_n_columns:
@@ -312,14 +358,15 @@ def _read_load_columns_as_rows(name: str, data: Any, n: int, max_n_columns: int 
 def add_harmonics_to_load(
     load_coefficients: np.ndarray, harmonics: Mapping[int, tuple[Any, Any]], mass: Any
 ) -> np.ndarray:
-    """Add harmonics to a load, on the rows of this rank.
+    """Return a load with further harmonics, on the dofs of this rank.
 
     Parameters
     ----------
     load_coefficients : (2K+1, n_local) [N]
         Present load: mean, then cosine and sine parts of harmonics 1 to K.
     harmonics : dict of int to (cosine, sine)
-        Harmonics to add by their orders, 1 to 100; each part is (n,) [N] or None.
+        Cosine and sine part to add, by the order of the harmonic, 1 to 100. Each part is (n,) [N]
+        or None.
     mass : PETSc.Mat
         Mass matrix, whose rows tell the dofs of this rank.
 
@@ -387,7 +434,10 @@ def add_springs(stiffness: Any, gap: sparse.csr_matrix, spring_stiffnesses: np.n
 
 
 def _check_symmetric(name: str, matrix: Any) -> None:
-    """Raise InputError unless a matrix is symmetric to 1e-10 of its norm (collective)."""
+    """Raise InputError unless a matrix is symmetric to 1e-10 of its norm (collective).
+
+    ``name`` is the matrix's name in the error message.
+    """
     matrix_norm = matrix.norm(PETSc.NormType.INFINITY)
     difference = matrix.transpose(PETSc.Mat())
     difference.axpy(-1.0, matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
@@ -400,8 +450,16 @@ def _check_symmetric(name: str, matrix: Any) -> None:
 def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
     """Raise InputError if a stiffness K has a negative eigenvalue (collective).
 
-    Eigenvalues are those of K phi = omega^2 M phi, with the mass M. Zero passes, for rigid-body
-    motions, and so does rounding: -1e-10 times the largest |K_ii| / M_ii.
+    The eigenvalues are omega^2 in K phi = omega^2 M phi, with the mass M and the shapes phi. Zeros
+    are allowed, for rigid-body motions. Negative values by rounding are allowed, too: down to
+    -1e-10 times the largest |K_ii| / M_ii.
+
+    Parameters
+    ----------
+    name : str
+        Name of the stiffness in the error message.
+    matrix, mass : PETSc.Mat
+        K and M.
     """
     diagonal_quotients = matrix.getDiagonal()
     diagonal_quotients.pointwiseDivide(diagonal_quotients, mass.getDiagonal())

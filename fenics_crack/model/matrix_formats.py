@@ -70,10 +70,10 @@ class LabelledMatrix:
     held_labels: np.ndarray | None = None
 
     def with_rows_of(self, stiffness: LabelledMatrix) -> sparse.csr_matrix:
-        """Reorder this matrix to the row order of the stiffness.
+        """Return this matrix with rows and columns in the order of the stiffness: (n, n).
 
-        Rows that this matrix lacks are zero. Rows of dofs that are clamped in the stiffness are
-        left out.
+        A row missing in this matrix becomes zero. A row is left out if the dof is clamped in the
+        stiffness. If either matrix has no labels, this matrix is returned unchanged.
 
         Raises
         ------
@@ -111,18 +111,19 @@ def read_matrix(
 ) -> LabelledMatrix:
     """Read a matrix from another program's file, or from a Matrix Market file.
 
-    The ending selects the format: .sti and .mas CalculiX, .pch and .op4 Nastran. A file .mtx is
-    Abaqus's if it has commas; all other files are Matrix Market files.
+    The ending selects the format: .sti and .mas CalculiX, .pch and .op4 Nastran. A .mtx file with
+    commas is from Abaqus. Any other file is a Matrix Market file.
 
     Parameters
     ----------
     path : Path
         The file.
     matrix_letter : str
-        "K", "M" or "B": stiffness, mass or damping, if the file holds several.
+        Selects the matrix in a file with several: "K" is the stiffness, "M" the mass, "B" the
+        damping.
     labels_path : Path, optional
         File with node and direction of each row (:func:`read_labels`). Default: for CalculiX the
-        .dof file beside the matrix. Abaqus's files and .pch have labels themselves.
+        .dof file beside the matrix. Files of Abaqus and .pch files contain the labels.
     n_rows : int, optional
         Expected number of rows in a Matrix Market file without ``labels_path``.
 
@@ -284,7 +285,17 @@ def _build_labelled_matrix(
 def _read_calculix(path: Path, labels_path: Path) -> LabelledMatrix:
     """Read a CalculiX matrix with the labels of its rows.
 
-    ValueError: an entry lies outside of the labelled rows, or a row has no diagonal entry.
+    Parameters
+    ----------
+    path : Path
+        File .sti or .mas: row, column and value of each entry.
+    labels_path : Path
+        File with node and direction of each row (:func:`read_labels`).
+
+    Raises
+    ------
+    ValueError
+        An entry lies outside the labelled rows, or a row has no diagonal entry.
     """
     labels = read_labels(labels_path)
     entry_table, n = read_number_rows(path, 3, "#"), len(labels)
@@ -315,7 +326,11 @@ def _is_abaqus_file(path: Path) -> bool:
 
 
 def _read_abaqus(path: Path) -> LabelledMatrix:
-    """Read an Abaqus matrix without clamped dofs, which have 1e36 on the diagonal."""
+    """Read an Abaqus matrix with the labels of its rows.
+
+    Clamped dofs have 1e36 on the diagonal. The rows and columns of these dofs are left out, and
+    ``held_labels`` of the result lists the dofs.
+    """
     entry_table = read_number_rows(path, 5, "*", ",")
     labelled_matrix = _build_labelled_matrix(
         entry_table[:, :4].astype(np.int64).reshape(-1, 2, 2),
@@ -388,8 +403,9 @@ def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
     The matrix is the first one with a name that begins with ``matrix_letter``.
 
     The file has a line for the matrix, then a line for each column with the column's first row. If
-    this row is 0, the column is sparse: it consists of strings of successive numbers, and a further
-    line before each string gives its first row. The result is (n, n_columns).
+    this row is 0, the column is sparse. A sparse column consists of strings: blocks of nonzero
+    entries in successive rows. A line before each string gives the string's first row. The result
+    is (n, n_columns).
 
     References
     ----------
@@ -553,18 +569,29 @@ def read_matrix_market_shape(path: Path) -> tuple[int, int]:
 def _read_header_and_sizes(
     lines: Iterator[str], allowed_bytes: int
 ) -> tuple[tuple[str, str], list[int], int]:
-    """Read the header of a Matrix Market file and its line with the sizes.
+    """Read the header and the line with the sizes from a Matrix Market file.
 
-    ValueError: a line is wrong, or more entries are announced than ``allowed_bytes`` can hold.
+    Parameters
+    ----------
+    lines : iterator of str
+        Lines of the file. Afterwards the iterator stands at the first entry.
+    allowed_bytes : int
+        Maximum size [byte] of the file's text. Used to refuse a file with too many announced
+        entries.
 
     Returns
     -------
     header : (str, str)
-        Layout and symmetry.
+        Layout and symmetry, such as ("coordinate", "symmetric").
     sizes : list of int
-        Rows and columns; entries too in a sparse file.
+        Numbers of rows and columns. A sparse file also has the number of entries.
     n_entries : int
         Number of entries that the file must hold.
+
+    Raises
+    ------
+    ValueError
+        A line is wrong, or more entries are announced than fit in ``allowed_bytes``.
     """
     layout_and_symmetry = _parse_header(next(lines, ""))
     line = next((line for line in lines if line.strip() and not line.startswith("%")), "")
@@ -684,7 +711,16 @@ def read_number_rows(
 ) -> np.ndarray:
     """Read a table of numbers (n, n_columns) from a text file.
 
-    ``comment`` begins a comment. ``delimiter`` separates numbers; None: white space.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    n_columns : int
+        Required number of columns.
+    comment : str
+        Character at which a comment begins; the rest of the line is ignored.
+    delimiter : str or None
+        Text between two numbers. None: white space.
 
     Raises
     ------

@@ -89,9 +89,10 @@ class AllModes:
 
     @property
     def is_ill_conditioned(self) -> bool:
-        """True if rounding of the highest modes may spoil the lowest ones.
+        """True if the lowest mode may be inaccurate, because the highest modes are very stiff.
 
-        The lowest omega^2 is then below 1e-12 of the highest, and no rigid-body motion is free.
+        The condition is omega^2 of the lowest mode below 1e-12 times omega^2 of the highest mode. A
+        structure with a free rigid-body motion always gives False.
         """
         return not self.is_unconstrained and bool(
             self.squares[0] < STIFFNESS_SOLUTION_ROUNDING * self.squares[-1]
@@ -102,8 +103,8 @@ class AllModes:
     ) -> np.ndarray:
         """Return the receptance H, the modal response to unit modal forces.
 
-        With the diagonal matrix Lambda of omega_j^2, the damping C, the mode shapes Phi, and the
-        damping factor d,
+        With the diagonal matrix Lambda of the squared natural frequencies omega_j^2, the damping C,
+        the mode shapes Phi, and the damping factor d,
 
             H = (Lambda - omega^2 + i omega d Phi^T C Phi)^-1
 
@@ -114,20 +115,21 @@ class AllModes:
         damping_factor : float
             Factor of the damping.
         is_loaded : (m, n) bool, optional
-            True for modes that the load drives, by default all. At the resonance of an undamped
-            mode, the denominator omega_j^2 - omega^2 is zero. If the load does not drive the mode,
-            contact keeps the motion finite. The denominator is then replaced by 1.5e-8 (omega_j^2 +
-            omega^2).
+            True for modes that the load drives. Default: all modes. At the resonance of an undamped
+            mode, the denominator omega_j^2 - omega^2 is zero. For a mode with False, the
+            denominator is then replaced by 1.5e-8 (omega_j^2 + omega^2), since contact keeps the
+            motion finite.
 
         Returns
         -------
-        (m, n), or (m, n, n) if damping couples modes
-            Diagonal of H at each frequency, or H.
+        (m, n) or (m, n, n)
+            Diagonal of H at each frequency. If damping couples modes, the whole matrix H.
 
         Raises
         ------
         ConvergenceError
-            The structure is singular at a frequency.
+            H is infinite at a frequency: an undamped resonance, or a rigid-body motion at frequency
+            0.
         """
         omega_squared = (omega * omega)[:, None]
         dynamic_stiffness = self.squares - omega_squared
@@ -202,17 +204,19 @@ class AllModes:
         return np.asarray(self.squares > max(min_frequency**2, float(self.squares[0])))
 
     def static_displacement_by_pair_forces(self, min_frequency: float) -> np.ndarray:
-        """Return the quasi-static displacement by unit forces on the pairs.
+        """Return the displacement of fast modes and massless coordinates by unit pair forces.
+
+        Modes above a frequency are called fast, and respond without inertia.
 
         Parameters
         ----------
         min_frequency : float [rad/s]
-            Frequency above which modes respond without inertia.
+            Frequency above which modes are fast. The lowest mode is never fast.
 
         Returns
         -------
         (n_dofs, n_pairs) [m/N]
-            Displacement of the modes above this frequency and of the massless coordinates.
+            Displacement by a unit force on each pair.
         """
         is_fast_mode = self._is_fast_mode(min_frequency)
         displacement_by_pair_forces: np.ndarray = (
@@ -225,10 +229,11 @@ class AllModes:
         )
 
     def with_fast_modes_quasi_static(self, min_frequency: float | None) -> AllModes:
-        """Move modes above a frequency [rad/s] to the quasi-static part, without inertia.
+        """Return a copy in which modes above a frequency [rad/s] respond without inertia.
 
-        The moved modes lose their damping, too. The lowest mode is never moved. With None, or
-        without a higher mode, the object itself is returned.
+        These modes have no damping, either. They are added to the residual compliance. The lowest
+        mode always keeps inertia. The object itself is returned if ``min_frequency`` is None, or if
+        no mode is above the frequency.
         """
         if min_frequency is None:
             return self
@@ -281,9 +286,19 @@ class AllModes:
         )
 
     def modal_response(self, receptance: np.ndarray, modal_force: np.ndarray) -> np.ndarray:
-        """Return the modal response H f to modal forces f: (..., n).
+        """Return the modal displacements H f by modal forces f.
 
-        ``receptance`` is H as :meth:`modal_receptances` returns it.
+        Parameters
+        ----------
+        receptance : (..., n) or (..., n, n)
+            H, as :meth:`modal_receptances` returns it.
+        modal_force : (..., n)
+            f.
+
+        Returns
+        -------
+        (..., n)
+            H f.
         """
         if self.damping.ndim == 1:
             return receptance * modal_force
@@ -300,9 +315,10 @@ class AllModes:
         return self.gaps_by_mode.T @ receptance @ self.gaps_by_mode
 
     def transition_and_force_response(self, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the matrices that advance modes over a step under constant pair forces.
+        """Return the matrices for a time step of all modes under constant pair forces.
 
-        The state z = (q, q') has modal displacements and velocities. Without forces z' = A z.
+        The state z = (q, q') has modal displacements and velocities. The equation of free motion,
+        z' = A z, defines the matrix A.
 
         Parameters
         ----------
@@ -311,10 +327,11 @@ class AllModes:
 
         Returns
         -------
-        (2n, 2n), or (4, n) if damping does not couple modes
-            E = exp(A h), or the diagonals of its four blocks.
+        (2n, 2n) or (4, n)
+            E = exp(A h): state after the step by the state before. If damping does not couple
+            modes, only the diagonals of the blocks: q by q, q by q', q' by q, q' by q'.
         (2n, n_pairs)
-            State after the step by unit forces on the pairs.
+            State after the step by a unit force on each pair, from rest.
         """
         n_modes, n_pairs = self.gaps_by_mode.shape
         if self.damping.ndim == 1:

@@ -80,8 +80,8 @@ class Modes(Tabular):
     omega : (count,) [rad/s]
         Natural angular frequencies, ascending.
     shapes : (n_local, count) [kg^-1/2]
-        Mass-normalised; the largest component is positive (if several are equal, the first by
-        position).
+        Mass-normalised shapes phi_j as columns. The sign makes the largest component positive.
+        Among equally large components, the first by position counts.
     structure : Structure
         Structure that vibrates.
     """
@@ -119,9 +119,9 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
 
     Open faces pass through each other. Bonded faces have no relative normal motion, whatever the
     clearance: B^T phi = 0 with the gap matrix B and the shape phi. Bonded faces slide without
-    friction, so the structure is a little softer than without a crack. A breathing crack without
-    clearance resonates near 2 w_open w_tied / (w_open + w_tied). w_open and w_tied are a mode's
-    frequencies with the crack open and bonded.
+    friction, so the structure is a little softer than without a crack. Let w_open and w_tied be a
+    mode's frequencies with the crack open and bonded. A breathing crack without clearance resonates
+    near 2 w_open w_tied / (w_open + w_tied).
 
     A structure with massless crack faces has the modes to which it was reduced. Its bonded modes
     are as accurate as the reduction.
@@ -133,19 +133,19 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     count : int
         Number of modes.
     lips : "open" or "tied"
-        State of the faces of all cracks.
+        State of all cracks' faces: open or bonded.
 
     Returns
     -------
     Modes
-        Mass-normalised, in ascending order.
+        Frequencies in ascending order, and mass-normalised shapes.
 
     Raises
     ------
     InputError
         ``lips`` is neither word, or the stiffness has a negative eigenvalue. Or ``count`` is not
-        between 1 and the number of modes. This is the number of dofs with mass, with a bonded crack
-        less one for each independent pair.
+        between 1 and the number of modes. With an open crack, this number is the number of dofs
+        with mass. Each independent bond of a bonded crack takes a mode away.
     ConvergenceError
         SLEPc found fewer modes than requested, or the lowest frequency of a clamped mesh is lost in
         rounding.
@@ -253,7 +253,10 @@ class BondedStiffnessInverse:
             self._compliance_factor = scipy.linalg.cho_factor(tie_flexibility)
 
     def apply(self, rhs: Any, solution: Any) -> None:
-        """Solve K x = ``rhs`` for a PETSc vector, into ``solution`` (collective)."""
+        """Solve K x = ``rhs`` under the bonds B^T x = 0, into ``solution`` (collective).
+
+        Both arguments are PETSc vectors.
+        """
         self._factor.apply(rhs, solution)
         tie_gap = self._sum_over_ranks(self._ties @ solution.array_r)
         solution.array_w[:] -= (
@@ -347,9 +350,10 @@ def solve_modes_with_factor(
 
 
 def find_known_modes_or_none(structure: Structure, n_modes: int) -> Modes | None:
-    """Return the lowest modes with an open crack if no solver is needed, else None.
+    """Return the lowest ``n_modes`` modes with an open crack, if known without a solver.
 
-    At least ``n_modes`` were computed before, or the structure is reduced to modes.
+    Modes are known if the structure is reduced to modes, or if at least ``n_modes`` were computed
+    before. Otherwise the result is None.
     """
     if structure.whole is not structure:  # small and dense
         if (omega_and_shapes := structure.known_omega_and_shapes(is_bonded=False)) is not None:
@@ -363,10 +367,10 @@ def find_known_modes_or_none(structure: Structure, n_modes: int) -> Modes | None
 
 
 def _make_empty_modes_list(structure: Structure) -> list[np.ndarray]:
-    """Return an empty cache [omega, shapes] for the modes with an open crack.
+    """Return an empty list, in which a structure caches modes with an open crack.
 
-    The cache keeps the largest number of modes requested so far. It does not refer to the
-    structure, so it does not keep the structure alive.
+    After the first computation, the list is [omega, shapes] with the largest number of modes so
+    far. The list does not refer to ``structure``, which would keep the structure in memory.
     """
     return []
 
@@ -374,9 +378,18 @@ def _make_empty_modes_list(structure: Structure) -> list[np.ndarray]:
 def _make_eigenvalue_solver(
     structure: Structure, option_prefix: str, n_modes: int, n_krylov_vectors: int
 ) -> Any:
-    """Make SLEPc's solver for ``n_modes`` modes K phi = omega^2 M phi (collective).
+    """Make SLEPc's solver for the modes K phi = omega^2 M phi (collective).
 
-    ``option_prefix`` begins the names of PETSc options that reach the solver.
+    Parameters
+    ----------
+    structure : Structure
+        Gives the stiffness K and the mass M.
+    option_prefix : str
+        Beginning of the names of PETSc options for this solver.
+    n_modes : int
+        Number of modes to find.
+    n_krylov_vectors : int
+        Number of basis vectors in the iteration, at most the number of dofs.
     """
     eigenvalue_solver = import_slepc().EPS().create(structure.comm)
     eigenvalue_solver.setOptionsPrefix(option_prefix)
@@ -438,10 +451,10 @@ def _find_modes_near_zero_omega(
 
 
 def n_krylov_vectors(n_modes: int) -> int:
-    """Return the number of Krylov vectors for a number of modes.
+    """Return how many basis vectors SLEPc's iteration uses for ``n_modes`` modes.
 
-    For n modes, SLEPc's default is the larger of 2 n and n + 15. Above 150 modes n + 150 vectors
-    are as quick, so the result is n + 150.
+    For n modes, SLEPc's default is the larger of 2 n and n + 15. Above 150 modes, n + 150 vectors
+    are as quick, and need less memory.
     """
     return max(min(2 * n_modes, n_modes + 150), n_modes + 15)
 
@@ -556,9 +569,9 @@ def orthonormalise_against_basis(
 ) -> np.ndarray:
     """Orthogonalise columns against a basis and each other (collective).
 
-    Each column x is first scaled to x^T A x = 1. Nearly dependent directions are left out: those
-    with an eigenvalue of the columns' Gram matrix up to 1e-12. If the columns are static responses,
-    a response loses at most 1e-6, and a compliance 1e-12.
+    Each column x is first scaled to x^T A x = 1. The result has fewer columns if columns are nearly
+    dependent: directions with an eigenvalue of the Gram matrix up to 1e-12 are left out. Static
+    responses given as columns then have relative errors up to 1e-6, and compliances up to 1e-12.
 
     Parameters
     ----------
@@ -572,7 +585,7 @@ def orthonormalise_against_basis(
     Returns
     -------
     (n_local, m')
-        X with X^T A X = I and V^T A X = 0.
+        New columns X with X^T A X = I and V^T A X = 0.
     """
 
     def project_columns(directions: np.ndarray) -> np.ndarray:
@@ -592,11 +605,18 @@ def orthonormalise_against_basis(
 
 
 def _signs_for_positive_largest_component(structure: Structure, shapes: np.ndarray) -> np.ndarray:
-    """Return signs that make the largest component of each shape positive.
+    """Return the sign for each shape to make the largest component positive.
 
     A symmetric structure has several equally large components, to 1e-6. The first of these by
     position and direction is then made positive; without positions, the one with the lowest dof. So
     the signs depend neither on rounding nor on the number of ranks.
+
+    Parameters
+    ----------
+    structure : Structure
+        Gives the positions of the dofs.
+    shapes : (n_local, count)
+        Mode shapes as columns.
 
     Returns
     -------
@@ -694,9 +714,12 @@ def _compute_modes_with_modal_damping(structure: Structure) -> ModesWithModalDam
 
 
 def count_damped_modes(structure: Structure) -> int:
-    """Return the number of modes with modal damping.
+    """Return the number of modes on which the structure's modal damping acts.
 
-    InputError: more modes are damped than the structure has, or ratios are missing.
+    Raises
+    ------
+    InputError
+        More modes are damped than the structure has, or the damping has too few ratios.
     """
     damping = structure.damping
     count: int = structure.n_modes if damping.modes is None else damping.modes
@@ -713,20 +736,20 @@ def count_damped_modes(structure: Structure) -> int:
 
 
 def damped_count_and_max_omega_or_none(structure: Structure) -> tuple[int, float] | None:
-    """Count the damped modes and find their highest frequency (collective).
+    """Count the damped modes and find the highest damped frequency (collective).
 
-    The result is None if the highest mode is damped, as with Rayleigh damping, or if the damping is
-    a matrix. Without damping the result is (0, 0.0). In a reduced structure with a damping matrix,
-    the whole structure's modes are counted.
+    Used to find whether undamped modes exist above the damped modes. Modes of the whole structure
+    are counted for a reduced structure with a damping matrix.
 
     Returns
     -------
     n_damped : int
-        Number of damped modes.
+        Number of damped modes; 0 without damping.
     max_frequency : float [rad/s]
-        Highest frequency of a damped mode; all modes above are undamped.
-
-
+        Highest frequency of a damped mode; 0 without damping. All modes above are undamped.
+    None
+        Instead of both, if the highest mode is damped, or if the damping is a matrix. Rayleigh
+        damping above 0 damps the highest mode.
 
     Raises
     ------
@@ -813,7 +836,7 @@ FREQUENCY_KIND_NAMES = ("open", "tied", "bilinear")
 
 @dataclass(frozen=True, repr=False)
 class BilinearFrequencies(Tabular):
-    """Natural frequencies of modes with the crack open, and of the same shapes bonded.
+    """Natural frequencies of the same mode shapes with the crack open and bonded.
 
     The open frequencies ascend. The bonded frequencies need not: a bond may raise one mode above
     the next.
@@ -829,8 +852,8 @@ class BilinearFrequencies(Tabular):
     Attributes
     ----------
     omega_open, omega_tied : (n,), or (..., n) [rad/s]
-        Frequencies w_o and w_t mode by mode; the leading axes are rotor speeds, if several.
-        A mode without a bonded one has the bonded frequency inf.
+        Frequencies w_o and w_t mode by mode; the leading axes are rotor speeds, if several. w_t is
+        inf if no bonded mode belongs to an open mode.
     """
 
     omega_open: np.ndarray
@@ -966,16 +989,19 @@ def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None =
 def find_bonded_mode_indices(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
     """Find the bonded mode with the shape of each open mode (collective).
 
-    Each bonded mode is taken at most once. As many modes as possible are matched by shape. Such a
-    match needs an overlap (phi_open^T M phi_tied)^2 above 0.9, with the mass M and the shapes phi.
-    All other modes are matched in ascending order. A bonded mode of lower frequency is not matched
-    by shape, because bonds only raise frequencies (Rayleigh). Shapes of equal frequencies, to 1e-6,
-    are arbitrary in their space, so their overlaps are summed.
+    Each bonded mode is matched at most once. As many modes as possible are matched by shape:
+
+    - the overlap (phi_open^T M phi_tied)^2 must exceed 0.9, with the mass M and the shapes phi;
+    - the bonded frequency must not be lower than the open frequency, since bonds only raise
+      frequencies (Rayleigh).
+
+    Overlaps of modes with equal frequencies, to 1e-6, are summed, because the shapes are then
+    arbitrary in a common space. All modes without a match by shape are matched in ascending order.
 
     Parameters
     ----------
     open_modes, bonded_modes : Modes
-        Modes of one structure, at least as many bonded ones as open ones.
+        Modes of the same structure, at least as many bonded modes as open modes.
 
     Returns
     -------

@@ -107,21 +107,23 @@ def find_node_indices_at(points: np.ndarray, point: Sequence[float] | np.ndarray
     Parameters
     ----------
     points : (n, d) [m]
-        Positions of the nodes; the tolerance is 1e-6 of their extent.
+        Positions of the nodes.
     point : (d,) [m]
+        Position to search. The tolerance is 1e-6 of the nodes' extent.
     """
     allowed_distance = 1e-6 * np.ptp(points, axis=0).max()
     return np.flatnonzero(np.linalg.norm(points - point, axis=1) <= allowed_distance)
 
 
 def describe_nearest_node(points: np.ndarray, point: Sequence[float] | np.ndarray) -> str:
-    """Say in words where the node nearest to a point is.
+    """Return the position of the node nearest to a point, in words.
 
     Parameters
     ----------
     points : (n, d) [m]
         Positions of the nodes.
     point : (d,) [m]
+        Point whose nearest node is named.
     """
     nearest_point = points[np.argmin(np.linalg.norm(points - point, axis=1))]
     return f"the nearest node is at {format_point(nearest_point)}"
@@ -269,9 +271,10 @@ class DofsAndContactPairs:
 
     @property
     def first_watched_pair(self) -> int:
-        """Index of the first crack's pair at the mouth.
+        """Index of the pair at the mouth of the first crack.
 
-        For a crack inside the plate, the pair in the middle. Without a mesh, the first pair.
+        If the first crack lies inside the plate, the pair in the middle of the crack. Without a
+        mesh, the first pair.
         """
         return next(iter(self.watched_pairs.values()))
 
@@ -297,7 +300,11 @@ class DofsAndContactPairs:
         return int(np.argmax(gather_rows(self.comm, np.abs(self.body.force).max(axis=0))))
 
     def describe_pair(self, pair: int) -> str:
-        """Name a pair: "at the mouth", "at the middle of crack 2", "of pair 3"."""
+        """Return a contact pair's name in words, for its index ``pair`` from 0.
+
+        A watched pair is named by its place: "at the mouth", "at the middle of crack 2". Any other
+        pair is named by its number from 1: "of pair 3".
+        """
         place_by_pair = {
             pair_index: place_name for place_name, pair_index in self.pairs.places.items()
         }
@@ -343,7 +350,7 @@ class DofsAndContactPairs:
         return mesh_and_dofs.function(self.expand(displacement[None])[0])
 
     def apply_bt(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the normal gaps B^T u, without clearance, on every rank (collective).
+        """Return the normal gaps B^T u on every rank, clearance not subtracted (collective).
 
         Parameters
         ----------
@@ -353,6 +360,7 @@ class DofsAndContactPairs:
         Returns
         -------
         (m, n_pairs) [m]
+            Gaps; B is the matrix of normal gaps.
         """
         return self.sum_over_ranks((self.gap.T @ displacement.T).T)
 
@@ -538,13 +546,13 @@ class ClampReactionData:
     def reaction_of_waves(
         self, waves: np.ndarray, omega: float, subharmonic: int, drag: float, phases: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """Return forces and moments at the clamp in a periodic motion, at some phases.
+        """Return the clamp's forces and moments in a periodic motion, at given phases.
 
         Parameters
         ----------
         waves : (2H+1, n_rigid)
-            Fourier coefficients of r^T M u, with the rigid motions r, the mass matrix M and the
-            displacement u.
+            Fourier coefficients of r^T M u, up to harmonic H of the motion. r are the n_rigid rigid
+            motions, M is the mass matrix and u the displacement.
         omega : float [rad/s]
             Angular frequency of the motion.
         subharmonic : int
@@ -552,14 +560,14 @@ class ClampReactionData:
         drag : float [1/s]
             Mass coefficient a of Rayleigh damping.
         phases : (n,) [rad]
-            Phases of the motion.
+            Phases in the motion's period, at which the reaction is returned.
 
         Returns
         -------
         (n, d) [N]
-            Forces.
+            Forces of the clamp on the body.
         (n, n_rigid - d) [N m]
-            Moments.
+            Moments of the clamp on the body.
         """
         harmonic_omegas = omega * np.arange(1, len(waves) // 2 + 1)[:, None]
         wave_cosine_coefficients, wave_sine_coefficients = waves[1::2], waves[2::2]
@@ -578,7 +586,7 @@ class ClampReactionData:
     def reaction_of_record(
         self, time: np.ndarray, inertia_record: np.ndarray, omega: float, drag: float
     ) -> tuple[np.ndarray, ...]:
-        """Return forces and moments at the clamp in a recorded motion.
+        """Return the clamp's forces and moments in a recorded motion.
 
         Accelerations are second derivatives of a spline of degree 5 through the record.
 
@@ -587,7 +595,7 @@ class ClampReactionData:
         time : (n,) [s]
             Instants of the record.
         inertia_record : (n, n_rigid)
-            r^T M u at these instants, with the rigid motions r, the mass matrix M and the
+            r^T M u at these instants, with the n_rigid rigid motions r, the mass matrix M and the
             displacement u.
         omega : float [rad/s]
             Angular frequency of the load.
@@ -597,9 +605,9 @@ class ClampReactionData:
         Returns
         -------
         (n, d) [N]
-            Forces.
+            Forces of the clamp on the body.
         (n, n_rigid - d) [N m]
-            Moments.
+            Moments of the clamp on the body.
         """
         from scipy.interpolate import make_interp_spline  # takes a while, rarely used
 

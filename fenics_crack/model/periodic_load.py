@@ -43,7 +43,8 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     coefficients : (2K+1,) or (2K+1, m)
         Mean, then cosine and sine part of each order 1 to K.
     error : float
-        Root mean square of the remaining load, relative to the load without its mean.
+        Root mean square of the load's rest beyond harmonic K, relative to the load's root mean
+        square without mean.
 
     Raises
     ------
@@ -133,11 +134,23 @@ def read_load_harmonics_and_error(
     """Read a CSV table of a periodic force, and return its harmonics.
 
     The first line has headings. Each further line has a time [s] and ``dimension`` components of
-    the force [N]. ``key`` names the file in errors, and ``harmonics`` is K.
+    the force [N].
+
+    Parameters
+    ----------
+    key : str
+        Scene key, named in error messages.
+    path : str
+        The file.
+    harmonics : int
+        Number K of harmonics to return.
+    dimension : int
+        Number of force components.
 
     Returns
     -------
     coefficients : (2K+1, dimension) [N]
+        Mean, then cosine and sine part of each order 1 to K.
     error : float
         Error of the truncated series, as :func:`load_harmonics` returns.
 

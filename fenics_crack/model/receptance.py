@@ -80,8 +80,10 @@ class Receptance:
     ) -> np.ndarray:
         """Return static responses that omit only the first ``n_kept_modes`` modes.
 
-        The responses are Y^T G X: displacements along columns Y by the unit forces X on pairs and
-        load. G is the static flexibility of all modes except the first ``n_kept_modes``.
+        The responses are Y^T G X: displacements along the columns of a matrix Y (m columns) by the
+        unit forces X on pairs and load. G is the static flexibility of all modes except the first
+        ``n_kept_modes``. This object's modes beyond the first ``n_kept_modes`` are added to
+        ``residual_part``.
 
         Parameters
         ----------
@@ -107,18 +109,18 @@ class Receptance:
         """Return the static compliance of all modes except the first ``n_kept_modes``.
 
         The compliance is S = X^T G X, (n_sources, n_sources). X are the unit forces on pairs and
-        load, and G is the static flexibility of the modes that count.
+        load. G is the static flexibility of all modes except the first ``n_kept_modes``.
         """
         return self.residual_response(n_kept_modes, self.compliance, self.modal)
 
     def inertia_beyond(self, n_kept_modes: int) -> np.ndarray:
-        """Return the w^2 terms of the pairs' compliances from the truncated modes: (n_pairs,).
+        """Return how the truncated modes' pair compliances grow with w^2: (n_pairs,) [m s^2/N].
 
-        Truncated are all modes except the first ``n_kept_modes``. At a low angular frequency w,
-        their dynamic compliance at pair i is S_ii + w^2 J_i, with the static compliance S. The
-        result is J [m s^2/N], the diagonal of B^T G M G B. B is the gap matrix, M the mass, and G
-        the static flexibility of the truncated modes. The sum of J measures the error of a
-        quasi-static response.
+        All modes except the first ``n_kept_modes`` are truncated. At a low angular frequency w, the
+        truncated modes' compliance at pair i is S_ii + w^2 J_i. S is the static compliance, and J
+        is the result: the diagonal of B^T G M G B. B is the gap matrix, M the mass, and G the
+        truncated modes' static flexibility. The sum of J measures the error of a quasi-static
+        response.
         """
         modal_flexibility = (
             self.modal[: len(self.inertia), n_kept_modes:] / self.squares[n_kept_modes:]
@@ -158,17 +160,19 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
 
 
 def make_empty_receptance_list(structure: Structure) -> list[Receptance]:
-    """Return an empty cache for the receptance with the most modes so far.
+    """Return an empty list, in which a structure caches a receptance.
 
-    The cache does not hold the structure, which would keep it alive.
+    The list holds the receptance with the most modes so far. The list does not refer to
+    ``structure``, which would keep the structure in memory.
     """
     return []
 
 
 def make_empty_shared_receptance_list(structure: Structure) -> list[Receptance]:
-    """Return an empty cache, shared by structures with the same matrices and any load.
+    """Return an empty list, in which structures share a cached receptance.
 
-    The cache keeps the receptance that was computed last.
+    Structures with the same matrices share the list, whatever the load. The list holds the
+    receptance computed last. The list does not refer to ``structure``.
     """
     return []
 
@@ -250,12 +254,19 @@ def pair_and_load_force_matrix(structure: Structure) -> sparse.csr_matrix:
 def find_loaded_row_mask(
     structure: Structure, load_coefficients: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return True for nonzero parts of a load, by default the structure's (collective).
+    """Return True for each nonzero row of a load (collective).
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure whose ranks share the load.
+    load_coefficients : (2K+1, n_local) [N], optional
+        Load: mean, then cosine and sine part of each harmonic. Default: the structure's load.
 
     Returns
     -------
     (2K+1,) bool
-        For the mean, and the cosine and sine part of each harmonic.
+        In the order of the load's rows.
     """
     load_coefficients = structure.force if load_coefficients is None else load_coefficients
     return np.asarray(structure.sum_over_ranks((load_coefficients**2).sum(axis=1)) > 0.0)
@@ -264,10 +275,10 @@ def find_loaded_row_mask(
 def _extend_receptance(
     structure: Structure, known_receptance: Receptance | None, n_modes: int
 ) -> Receptance:
-    """Make a receptance with ``n_modes`` modes (collective).
+    """Compute a receptance with ``n_modes`` modes (collective).
 
-    ``known_receptance`` has fewer modes. Its static compliance is used again, after the new modes'
-    part is subtracted. None: the static responses are computed.
+    If ``known_receptance`` with fewer modes is given, the static compliance is taken from there,
+    less the new modes' part. If ``known_receptance`` is None, static responses are computed.
     """
     begin_stage("factorisation of the stiffness")
     with Factor(structure.stiffness, definite=True) as factored_stiffness:
@@ -384,7 +395,7 @@ def modal_and_static_displacement_rows(
 def expand_residual_response(
     structure: Structure, shapes: np.ndarray, squares: np.ndarray, amplitudes: np.ndarray
 ) -> np.ndarray:
-    """Return static displacements G X c that omit some modes (collective).
+    """Return static displacements G X c without given modes (collective).
 
     G is the static flexibility of all modes except those given. X are unit forces on pairs and
     load, and c their amplitudes.
@@ -401,6 +412,7 @@ def expand_residual_response(
     Returns
     -------
     (m, n_local) [m]
+        Displacements, a row for each load case.
     """
     has_nonzero_amplitudes = np.any(amplitudes != 0.0, axis=1)
     displacements = np.zeros((len(amplitudes), structure.n_local))

@@ -55,8 +55,8 @@ class ReducedBody(Body):
     """Constant data of a reduced structure (:class:`Body`).
 
     ``source`` is the structure that was reduced. ``basis``, ``omega`` and ``reference`` are
-    explained in :class:`ReducedStructure`. ``error_share_removed_by_larger_reduction`` is its
-    attribute ``error_share_removed_by_reference``.
+    explained in :class:`ReducedStructure`. There, ``error_share_removed_by_larger_reduction`` is
+    called ``error_share_removed_by_reference``.
     """
 
     source: Structure
@@ -207,7 +207,11 @@ class ReducedStructure(Structure):
         return displacement @ self._source_structure.values_at(self.basis.T, dofs)
 
     def _plain_structure_with_changes(self, **changes: Any) -> Structure:
-        """Return a plain Structure with the coordinates as dofs, without node positions."""
+        """Return a plain :class:`Structure` whose dofs are the coordinates q.
+
+        ``changes`` are new values for fields of the body, by name. Node positions are dropped: no
+        node belongs to a coordinate.
+        """
         return super()._plain_structure_with_changes(**({"nodes": None} | changes))
 
 
@@ -262,8 +266,19 @@ class QuasiStaticReduction(ReducedStructure):
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the modes with an open crack; None for a bonded crack.
 
-        The results are frequencies (n_modes,) [rad/s] and shapes in the coordinates, (n_dofs,
-        n_modes).
+        A bonded crack would need a solver.
+
+        Parameters
+        ----------
+        is_bonded : bool
+            True for a bonded crack, False for an open crack.
+
+        Returns
+        -------
+        omega : (n_modes,) [rad/s]
+            Frequencies.
+        shapes : (n_dofs, n_modes)
+            Shapes in the coordinates.
         """
         return None if is_bonded else (self.omega, self.shapes)
 
@@ -332,9 +347,10 @@ class MasslessStructure(QuasiStaticReduction):
             Load on all coordinates: amplitudes of the modes, then of the unit forces X.
         compliance : (n_sources, n_sources)
             S = X^T G X, the static compliance of pairs and load without the modes.
-        reference, share
-            Reduction to more modes, or None, and the fraction of the truncation error that it
-            removes (:class:`ReducedStructure`).
+        reference : MasslessStructure or None
+            Reduction to more modes, to estimate the truncation error.
+        error_share_removed_by_reference : float
+            Fraction of the truncation error removed by the reference (:class:`ReducedStructure`).
         """
         if isinstance(damping, DampingRule):
             damping = damping.rule_for_n_modes(len(squares))
@@ -379,20 +395,26 @@ class MasslessStructure(QuasiStaticReduction):
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return frequencies and shapes of all modes, with an open or a bonded crack.
 
-        With an open crack the shapes are unit vectors. The bonded modes follow from
+        With an open crack the shapes are unit vectors. The bonded modes have amplitudes q of the
+        open modes Phi, bond forces lambda and frequencies w:
 
             (Lambda + b R_inf^-1 b^T) q = w^2 q,      b = Phi^T B,      lambda = R_inf^-1 b^T q
 
-        Here q are amplitudes of the open modes Phi, and Lambda holds the squares of their
-        frequencies. b has their gaps, and lambda are the bond forces. A bonded pair acts as a
-        spring with the residual flexibility R_inf; without flexibility it holds b^T q = 0. Linearly
-        dependent pairs are one bond.
+        B is the gap matrix, so b has the gaps of the open modes. Lambda holds the squares of the
+        open modes' frequencies. A bonded pair acts as a spring with the residual flexibility R_inf.
+        A pair without flexibility holds b^T q = 0. Linearly dependent pairs count as a single bond.
+
+        Parameters
+        ----------
+        is_bonded : bool
+            True for a bonded crack, False for an open crack.
 
         Returns
         -------
         omega : (m,) [rad/s]
+            Frequencies.
         shapes : (n_dofs, m)
-            In the coordinates: modal, then massless amplitudes.
+            Shapes in the coordinates: modal, then massless amplitudes.
         """
         if not is_bonded:
             return super().known_omega_and_shapes(is_bonded=False)
@@ -470,7 +492,11 @@ class MasslessStructure(QuasiStaticReduction):
         return self._source_structure.expand(self._expand_to_source(displacement))
 
     def _expand_to_source(self, displacement: np.ndarray) -> np.ndarray:
-        """Expand coordinates (m, n_dofs) to the structure that was reduced (collective)."""
+        """Return displacements of the structure that was reduced (collective).
+
+        ``displacement`` (m, n_dofs) has modal, then massless amplitudes in each row. The result is
+        (m, source.n_local) [m], with the structure's dofs on this rank.
+        """
         modal_amplitudes, massless_amplitudes = np.split(displacement, [self.n_modes], axis=1)
         return modal_amplitudes @ self.basis.T + expand_residual_response(
             self._source_structure, self.basis, self.omega**2, massless_amplitudes
@@ -505,9 +531,9 @@ class MasslessStructure(QuasiStaticReduction):
 
 
 def check_faces_have_mass(structure: Structure, remedy: str) -> None:
-    """Raise InputError if the structure is reduced to massless crack faces.
+    """Raise InputError if the structure's crack faces have no mass.
 
-    ``remedy`` is the advice in the error.
+    Used by methods in which crack faces need mass. ``remedy`` is the advice in the message.
     """
     if structure.has_massless_crack_faces:
         raise InputError(

@@ -184,19 +184,33 @@ def _reduce_massless(
 ) -> MasslessStructure:
     """Reduce a structure to ``n_kept`` modes and crack faces without mass.
 
-    Another reduction with more modes, the reference, serves to estimate the error. By default it
-    has 2 ``n_kept`` modes, at least ``n_kept`` + 10, but at most n_dofs - n_pairs. This limit
-    leaves each pair a static part. The reference has all modes if ``n_kept`` reaches the limit. It
-    also has all modes if, at the limit, a pair keeps more than half of its residual flexibility.
-    ``reference_choice`` False: no reference. A number above ``n_kept``: number of modes in the
-    reference.
+    A second reduction with more modes, the reference, serves to estimate the truncation error. The
+    default number of modes in the reference is 2 ``n_kept``, and at least ``n_kept`` + 10. It is
+    limited to n_dofs - n_pairs, to leave each pair a static part. The reference has all modes
+    instead
 
-    The reference removes a fraction of the truncation error, the attribute
-    ``error_share_removed_by_reference``. The estimate is 1 - J_r / J. J is the sum of
-    :meth:`Receptance.inertia_beyond` for ``n_kept`` modes, and J_r the sum for the reference's
-    modes. The fraction is at least 0.1, and at most 0.5 unless the reference has all modes.
+    - if ``n_kept`` reaches this limit;
+    - if the limit applies, and a pair keeps more than half of the residual flexibility.
 
-    InputError: ``n_kept`` modes leave out a rigid-body motion.
+    The reference removes the fraction 1 - J_r / J of the truncation error, as an estimate. J is the
+    sum of :meth:`Receptance.inertia_beyond` for ``n_kept`` modes, and J_r the sum for the
+    reference's modes. The fraction is at least 0.1, and at most 0.5 unless the reference has all
+    modes. The result stores the fraction as ``error_share_removed_by_reference``.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure to reduce.
+    n_kept : int
+        Number of the lowest modes to keep.
+    reference_choice : bool or int
+        True: the default reference. False: no reference. A number above ``n_kept``: number of modes
+        in the reference.
+
+    Raises
+    ------
+    InputError
+        A rigid-body motion is not among the ``n_kept`` modes.
     """
     original = structure.unvaried_structure
     n_wanted_reference_modes, max_reference_modes = (
@@ -336,10 +350,18 @@ def _uniform_damping_rule_or_none(structure: Structure) -> DampingRule | None:
 def _regular_stiffness_factor(
     stiffness_factor: Factor, structure: Structure, *, is_held: bool
 ) -> Iterator[Factor]:
-    """Yield a factor of the stiffness, shifted if it is singular.
+    """Yield a factor of the stiffness K, or of a shifted stiffness if K is singular.
 
-    If the stiffness K is regular (``is_held``), ``stiffness_factor``, the factor of K, is yielded.
-    Otherwise K + s M is factored, with the mass M and the shift s = omega^2 of the tenth mode.
+    The shifted stiffness is K + s M, with the mass M and the shift s = omega^2 of the tenth mode.
+
+    Parameters
+    ----------
+    stiffness_factor : Factor
+        Factor of K, yielded itself if K is regular.
+    structure : Structure
+        Structure with K and M.
+    is_held : bool
+        True if K is regular: the structure cannot move as a rigid body.
     """
     if is_held:
         yield stiffness_factor

@@ -515,11 +515,11 @@ class RunUpStructure(QuasiStaticReduction):
         )
 
     def stiffening_exponent(self, omega: float) -> float:
-        """Return the relative growth of a natural frequency with the rotor speed.
+        """Return a natural frequency's relative growth per relative growth of rotor speed.
 
-        With an open crack, a frequency w of the mode phi at the speed W has
+        With an open crack and the stiffness K, the frequency w of the mode phi at the speed W has
 
-            d ln w / d ln W = phi^T dK/d(ln W) phi / (2 w^2),      K: stiffness
+            d ln w / d ln W = phi^T dK/d(ln W) phi / (2 w^2)
 
         Parameters
         ----------

@@ -253,9 +253,10 @@ Result = TypeVar("Result")
 
 
 def shared_property(compute: Callable[[Any], Any]) -> Any:
-    """Make a property that is computed once for a structure and its varied copies.
+    """Make a property that is computed once for a structure and all varied copies.
 
-    ``compute`` is a function, called with :attr:`Structure.unvaried_structure`.
+    ``compute`` takes the structure before variation (:attr:`Structure.unvaried_structure`) and
+    returns the property's value.
     """
     return property(lambda structure: structure.compute_once(compute), doc=compute.__doc__)
 
@@ -280,14 +281,16 @@ class Structure(DofsAndContactPairs):
     """A linear structure with contact pairs; read-only.
 
     Made by :func:`fenics_crack.build_structure` from a scene, by :meth:`from_matrices` or by
-    :func:`fenics_crack.structure_from_forms`. Varied copies share the constant data, the body, and
-    differ in the setting: factors of load and damping, and an added clearance (``model/body.py``).
+    :func:`fenics_crack.structure_from_forms`. Varied copies (:meth:`varied`) share the constant
+    data, called the body. Copies differ in the setting: factors of load and damping, and an added
+    clearance.
 
     Attributes
     ----------
     comm, gap, tangential, force, nodes, pairs, watched
         Ranks, matrix B of the normal gaps, matrix B_t of the tangential gaps, load, node positions,
-        contact pairs, and watched displacement (:class:`fenics_crack.model.nodes.Coordinates`).
+        contact pairs, and watched displacement
+        (:class:`fenics_crack.model.nodes.DofsAndContactPairs`).
     mass, stiffness : PETSc.Mat
         (n, n), symmetric; [kg], [N/m].
     clearance : (n_pairs,) [m]
@@ -295,8 +298,9 @@ class Structure(DofsAndContactPairs):
         pressed together at rest (preload).
     damping_multiplier : float
         Factor of the damping relative to :attr:`unvaried_structure`; 1 unless varied.
-    clamp : fenics_crack.model.nodes.Clamp or None
-        Clamp of a mesh. None without a mesh, and for a reduced structure: see its whole structure.
+    clamp : fenics_crack.model.nodes.ClampReactionData or None
+        Data for the reaction at a mesh's clamp. None without a mesh. A reduced structure has None;
+        the whole structure has the data.
     rotation : fenics_crack.model.rotation.Rotation or None
         Terms that rotation has added to the matrices and the mean load. None at rest.
     """
@@ -340,9 +344,9 @@ class Structure(DofsAndContactPairs):
     def clearance(self) -> np.ndarray:
         """Clearance g0 of every pair: (n_pairs,) [m].
 
-        Clearance added by :meth:`varied` is included. :meth:`with_tangential_pairs` makes pairs of
-        tangential gaps. If the added clearance is an array with one number for each normal pair,
-        these further pairs get none of it.
+        Clearance added by :meth:`varied` is included. A single number is added to all pairs. An
+        array has a number for each normal pair, so tangential pairs (:meth:`with_tangential_pairs`)
+        keep their clearance.
         """
         clearance, added_clearance = (
             self.body.clearance.copy(),
@@ -388,7 +392,8 @@ class Structure(DofsAndContactPairs):
     def rotation(self) -> Any:
         """Terms that rotation adds to stiffness and load; None at rest.
 
-        The structure at rest has the same load factors, added clearance and damping factor.
+        The terms include the structure at rest, varied like this structure: load factors, added
+        clearance, damping factor.
         """
         return self.body.rotation and self.body.rotation.with_changed_rest_structure(
             self._apply_setting
@@ -569,9 +574,10 @@ class Structure(DofsAndContactPairs):
 
     @cached_property
     def damping_matrix(self) -> Any:
-        """Damping matrix C [N s/m]; None with modal damping or none (collective).
+        """Damping matrix C [N s/m] of a given matrix or of Rayleigh damping (collective).
 
-        Rayleigh's matrix is formed at the first request.
+        None for modal damping, and without damping. Rayleigh's matrix is formed at the first
+        request.
         """
         damping = self.damping
         if isinstance(damping, RayleighDamping):
@@ -912,9 +918,9 @@ def _is_mean_kept(load_weights: np.ndarray) -> bool:
 
 
 def _add_tangents(structure: Structure) -> Structure:
-    """Return a structure with the mesh's tangential gaps.
+    """Return a structure with the tangential gaps that the mesh gives.
 
-    If it rotates, its structure at rest gets them, too.
+    In a rotating structure, the structure at rest (:attr:`Structure.rotation`) gets the gaps, too.
     """
     return _change_with_rotation(
         structure,
@@ -927,9 +933,10 @@ def _add_tangents(structure: Structure) -> Structure:
 def _make_empty_tangential_pairs_cache(
     structure: Structure,
 ) -> list[tuple[np.ndarray | None, Structure]]:
-    """Return an empty cache for the last structure with tangential pairs, and its ``direction``.
+    """Return an empty list, in which a structure caches a copy with tangential pairs.
 
-    :meth:`Structure.with_tangential_pairs` fills it.
+    :meth:`Structure.with_tangential_pairs` stores the last copy there, with the ``direction`` for
+    which the copy was made.
     """
     return []
 
@@ -957,7 +964,10 @@ def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) ->
 
 
 def _add_parallel_copy_of_pairs(structure: Structure) -> Structure:
-    """Return a structure with every pair twice, with the same clearances."""
+    """Return a structure with every pair twice: all pairs, then all copies.
+
+    A copy has the clearance of the original pair.
+    """
     return structure._in_setting(
         structure.load_damping_clearance_changes,
         gap=sparse.hstack([structure.gap, structure.gap]),
@@ -969,6 +979,10 @@ def _add_parallel_copy_of_pairs(structure: Structure) -> Structure:
 def _change_with_rotation(
     structure: Structure, change: Callable[[Structure], Structure]
 ) -> Structure:
-    """Apply ``change`` to a structure, and with rotation also to its structure at rest."""
+    """Return a structure after ``change``, which maps a structure to a structure.
+
+    In a rotating structure, ``change`` is also applied to the structure at rest
+    (:attr:`Structure.rotation`).
+    """
     rotation = structure.rotation and structure.rotation.with_changed_rest_structure(change)
     return change(structure)._in_setting(SETTING_WITHOUT_CHANGES, rotation=rotation)

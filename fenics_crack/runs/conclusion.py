@@ -87,16 +87,16 @@ LINEAR_VIBRATION_TEXT = "no contact pair opens and closes: the vibration is line
 
 
 def list_linearity_sentences(closed_share: np.ndarray) -> list[str]:
-    """Return a list with a sentence if the vibration is linear, else an empty list.
+    """Return a list with the sentence for a linear vibration, else an empty list.
 
-    A vibration is linear if all contact pairs stay closed, or all stay open. The list is empty if
-    any solution is not linear, and without contact pairs.
+    A vibration is linear if no contact pair opens and closes. The list is empty, too, without
+    contact pairs.
 
     Parameters
     ----------
     closed_share : array of any shape
-        For each solution, the fraction of the period in which a pair is closed: 0 to 1, the mean
-        over all pairs; nan without pairs. Any value between 0 and 1 gives an empty list.
+        Closed fraction of the period for each solution, 0 to 1, as mean over the pairs; nan without
+        pairs. The vibration is linear if every entry is 0 or 1.
     """
     breathes = np.any((closed_share > 0.0) & (closed_share < 1.0))
     has_pairs = np.any(np.isfinite(closed_share))
@@ -104,19 +104,21 @@ def list_linearity_sentences(closed_share: np.ndarray) -> list[str]:
 
 
 def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
-    """Return a number's relative error in words: "2.4 %, mostly due to the mesh".
+    """Return a result's relative error in words: "2.4 %, mostly due to the mesh".
 
-    The main cause is named for errors above 1e-4. Causes not included in the error follow, with
-    reasons. The text is empty if the run has no estimated errors. The text is also empty if the
-    error is unknown, 0, or as large as the number.
+    The main cause is named for errors above 1e-4. Then follow causes not included in the error,
+    with reasons. The text is empty in two cases:
+
+    - the run has no estimated errors;
+    - the error is unknown, 0, or at least as large as the result.
 
     Parameters
     ----------
     run : StudyWithResult
         Result with its estimated errors, ``run.stated``.
     quantity_name : str
-        Number, named as in ``[output] quantities``; by default the amplitude at the first watched
-        dof.
+        Name of the result, as in ``[output] quantities``. Default: the amplitude at the first
+        watched dof.
     """
     if run.stated is None:
         return ""
@@ -134,8 +136,9 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
 def explain_unknown_amplitude_error(run: StudyWithResult) -> str:
     """Return why the watched amplitude has no known error, in words.
 
-    The text is empty if the error is known, or if the run has no estimated errors. For large
-    structures the text is empty, too: over 600 dofs or several ranks, and crack faces with mass.
+    An error as large as the amplitude counts as unknown. The text is empty if the error is known,
+    or if the run has no estimated errors. The text is empty, too, for a structure that is not small
+    (:func:`is_small`).
     """
     if run.stated is None or not is_small(run.structure):  # then the report alone has the error
         return ""
@@ -145,8 +148,9 @@ def explain_unknown_amplitude_error(run: StudyWithResult) -> str:
 def explain_unknown_solution_error(run: StudyWithResult) -> str:
     """Return why a periodic solution has no known error, in words.
 
-    If the solution's own error report (:class:`ErrorReport`) is unknown, the text says why.
-    Otherwise the text says why the watched amplitude's error is unknown. Empty if both are known.
+    If the solution's error report (:class:`ErrorReport`) gives no error, the text says why.
+    Otherwise the text says why the watched amplitude's error is unknown. If both errors are known,
+    the text is empty.
     """
     error_report = run.result.report
     return (
@@ -189,19 +193,20 @@ def _make_conclusion_of_modes(run: StudyWithResult) -> Conclusion:
 
 
 def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: str = "") -> str:
-    """Return a clause on a number's error, such as ", estimated error 2.4 %".
+    """Return a clause on a result's error, such as ", estimated error 2.4 %".
 
-    If no error is stated, the clause is ``fallback_text``. Causes not included in the error follow.
+    If the error is not known, the clause is ``fallback_text``. Then follow causes not included in
+    the error, with reasons.
 
     Parameters
     ----------
     run : StudyWithResult
         Result with its estimated errors, ``run.stated``.
     quantity_name : str
-        Number, named as in ``[output] quantities``; by default the amplitude at the first watched
-        dof.
+        Name of the result, as in ``[output] quantities``. Default: the amplitude at the first
+        watched dof.
     fallback_text : str
-        Clause if no error is stated.
+        Clause if the error is not known.
     """
     if error_text := describe_stated_error(run, quantity_name):
         return f", estimated error {error_text}"
@@ -248,9 +253,19 @@ def _make_conclusion_of_solution(run: StudyWithResult) -> Conclusion:
 def _list_opening_and_stability_sentences(
     run: StudyWithResult, solution: PeriodicSolution, crack_faces_word: str
 ) -> list[str]:
-    """Return sentences on crack opening, omitted friction, and stability of a solution.
+    """Return sentences on crack opening, friction and stability, for the conclusion.
 
-    ``crack_faces_word`` is the scene's word for crack faces; "pairs" without a crack (matrices).
+    The sentence on friction says how much friction would change the watched amplitude. This
+    sentence is added only if the scene leaves friction out, and if the change is not small.
+
+    Parameters
+    ----------
+    run : StudyWithResult
+        Run with its estimated errors.
+    solution : PeriodicSolution
+        Result of the run.
+    crack_faces_word : str
+        The scene's word for crack faces; "pairs" if the scene has matrices and no crack.
     """
     sentences = []
     if run.structure.n_pairs and solution.contact is not None:

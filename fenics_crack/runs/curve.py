@@ -138,14 +138,16 @@ def _check_curve_is_possible(study: Study) -> None:
 
 
 def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
-    """Follow the curve of a study with a fixed number of modes (collective).
+    """Follow a response curve with the modes of the study (collective).
 
     Parameters
     ----------
     study : Study
-        Source of structure and contact law.
+        Gives structure and contact law.
     scene : Scene
-        Source of the table ``[curve]``, load frequency, harmonics and tolerance.
+        Gives the table ``[curve]``, load frequency, harmonics and tolerance.
+    progress : bool
+        Show a progress bar.
     """
     from fenics_crack.curves.follow import continue_frequency, continue_parameter
     from fenics_crack.curves.resonance import follow_resonance
@@ -185,12 +187,19 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
 def iterate_curve_studies_with_more_modes(
     scene_or_study: Scene | Study, comm: MPI.Comm
 ) -> Iterator[Study]:
-    """Yield a curve's study, reduced to more modes each time (collective).
+    """Yield a curve's study, each time reduced to more modes (collective).
 
-    For a curve over the rotor speed (run-up) a single study is yielded, with one reduction basis
-    for all speeds. If the scene has a tolerance, this study has enough modes for the tolerance at
-    the first resonance on the curve. To find the number of modes, the structure has the scene's own
-    rotor speed.
+    A curve over the rotor speed yields a single study, with one reduction basis for all speeds. If
+    the scene has a tolerance, the number of modes is chosen so the error due to truncated modes
+    meets the tolerance. The error is found at the first resonance on the curve, with the structure
+    at the scene's own rotor speed.
+
+    Parameters
+    ----------
+    scene_or_study : Scene or Study
+        Scene with a table ``[curve]``, or its study before reduction.
+    comm : MPI.Comm
+        Ranks that share the structure.
     """
     scene = scene_or_study.scene if isinstance(scene_or_study, Study) else scene_or_study
     parameter_name, start, stop = scene.given("curve").parameter_and_range
@@ -226,10 +235,10 @@ def _find_study_meeting_tolerance(
 ) -> Study:
     """Return the first study with enough modes for the scene's tolerance (collective).
 
-    Each study is solved at the lowest bilinear frequency in the range; without a bilinear frequency
-    in the range, at ``start_omega``. A study has enough modes if the error due to truncated modes
-    meets the tolerance. A study with an unknown error, or without a solution, is also returned. If
-    no study meets the tolerance, the last study is returned.
+    Each study is solved at the lowest bilinear frequency in the range. If the range has no bilinear
+    frequency, the study is solved at ``start_omega``. A study has enough modes if the error due to
+    truncated modes meets the tolerance. A study with an unknown error, or without a solution, is
+    also returned. If no study meets the tolerance, the last study is returned.
 
     Parameters
     ----------
@@ -267,9 +276,14 @@ def _lowest_bilinear_omega(study: Study, start_omega: float, stop_omega: float) 
 
 
 def _describe_mode_choice(study: Study, mode_error: float) -> str:
-    """Say in words whether a study has enough modes for the curve's tolerance.
+    """Say in words whether a study has enough modes for the scene's tolerance.
 
-    ``mode_error`` is the relative error due to truncated modes; inf if unknown.
+    Parameters
+    ----------
+    study : Study
+        Study, reduced to a number of modes.
+    mode_error : float
+        Relative error of the solution due to truncated modes; inf if unknown.
     """
     scene = study.scene
     tolerance, n_modes = scene.harmonic_balance.given("tolerance"), scene.given("reduction").modes

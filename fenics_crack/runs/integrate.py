@@ -170,19 +170,29 @@ def _read_initial_motion_file(path: str, comm: MPI.Comm) -> StoredFile:
 def _start_state_from_run(
     earlier_run: Run[Any], structure: Structure, integration_table: Integration
 ) -> tuple[np.ndarray, ...]:
-    """Return the initial state for an integration from an earlier motion (collective).
+    """Return an initial state to continue an earlier motion (collective).
 
-    From a periodic solution the state at the load's phase 0 is taken, from a motion in time the
-    final state. For a reduced structure, the modal amplitudes are q = Phi^T M u, with displacement
-    u, modes Phi and mass M. InputError if the earlier motion has another mesh.
+    A periodic solution gives the state at the load's phase 0; a motion in time gives the final
+    state. For a reduced structure, the displacement u is converted to modal amplitudes q = Phi^T M
+    u, with the modes Phi and the mass M. Coordinates without mass are zero. InputError if the
+    earlier motion has another mesh.
+
+    Parameters
+    ----------
+    earlier_run : Run
+        Run with the earlier motion.
+    structure : Structure
+        Structure to integrate.
+    integration_table : Integration
+        Table ``[integration]``, named in the error.
 
     Returns
     -------
     displacement, velocity : (n_local,) [m], [m/s]
-        In the coordinates of ``structure``. If not reduced, these are the n_local dofs on this
-        rank.
+        In the coordinates of ``structure``: without reduction the n_local dofs on this rank.
     places : (n_pairs,) [m]
-        Tangential gaps at which pairs stick; only if the earlier motion has friction.
+        Slider positions: tangential gaps at which the tangential springs are relaxed. Returned only
+        if the earlier motion has friction.
     """
     earlier_motion, whole_structure = earlier_run.result, structure.whole
     if isinstance(earlier_motion, TimeHistory):

@@ -115,16 +115,24 @@ def make_run_on_this_rank(result_file: StoredFile) -> Run[Result]:
 
 
 def study_under_mean_load_alone(study: Study) -> Study:
-    """Return a study under the load's mean alone, for a free decay."""
+    """Return a study under the load's mean alone.
+
+    A free decay is integrated under this constant load.
+    """
     structure = structure_under_static_load(study.structure, 0.0).watching(study.watched[0].dof)
     return replace(study, structure=structure)
 
 
 def structure_under_static_load(structure: Structure, first_harmonic_fraction: float) -> Structure:
-    """Return a structure under a static load f_0 + c (a_1 + b_1).
+    """Return a structure under the constant load f_0 + c (a_1 + b_1).
 
-    f_0 is the mean load; a_1 and b_1 are the cosine and sine parts in the first harmonic. The
-    factor c is ``first_harmonic_fraction``.
+    Parameters
+    ----------
+    structure : Structure
+        Structure with a periodic load: mean f_0, cosine part a_1 and sine part b_1 of the first
+        harmonic.
+    first_harmonic_fraction : float
+        Factor c. With 0, only the mean load is left.
     """
     load_weight_matrix = np.zeros((len(structure.force),) * 2)
     load_weight_matrix[0, :3] = 1.0, first_harmonic_fraction, first_harmonic_fraction

@@ -45,7 +45,11 @@ class Reaction(Tabular):
         return read_observables(Place.CLAMP, self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the columns "time", "force_x", ..., "moment_z", a row for every instant."""
+        """Return columns by name, with a row for every instant.
+
+        The names are "time" [s], "force_x" [N] and so on, then "moment_z" [N m]. A solid also has
+        "moment_x" and "moment_y".
+        """
         force_axis_names = AXES[: self.force.shape[1]]
         moment_axis_names = AXES[-self.moment.shape[1] :]
         column_names = [

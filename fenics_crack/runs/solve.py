@@ -96,13 +96,18 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
 def _with_outcome_of_start_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     """Integrate the motion from rest and add its outcome to a solution (collective).
 
-    The motion is integrated if the verdict on stability is undecided. It is also integrated if no
-    pair opens and closes in the solution: larger motions, with pairs that open and close, may
-    exist, and Floquet multipliers do not show them.
+    The motion is integrated in two cases:
 
-    The outcome in words is stored in ``stability.from_rest``, the amplitude [m] in
-    ``stability.rest_amplitude``. The run stays unchanged without a verdict, or if nothing vibrates.
-    The run also stays unchanged if the verdict is decided and both amplitudes agree within 0.1 %.
+    - the verdict on stability is undecided;
+    - no contact pair opens and closes in the solution. Larger motions with pairs that open and
+      close may then exist, and Floquet multipliers do not show them.
+
+    The outcome in words is stored in ``stability.from_rest``. The amplitude [m] at the watched dof
+    is stored in ``stability.rest_amplitude`` (nan if the motion has not settled).
+
+    The run is returned unchanged if stability was not examined, or if nothing vibrates. The run is
+    also returned unchanged if the verdict is decided and the motion from rest has the solution's
+    amplitude, to 0.1 %.
     """
     solution, watched_dof = run.result, run.watched_dof
     stability = solution.stability

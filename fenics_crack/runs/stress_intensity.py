@@ -65,9 +65,9 @@ class StressIntensity(Tabular):
         K_III, positive if the upper face moves along the front, in the direction e_3 = e_1 x e_2.
         e_1 points ahead, and e_2 from the lower to the upper face. None for a plate.
     closed_front_errors : (n_tips,) [Pa m^1/2]
-        Error of K_I in a solid at fronts with zero clearance. While all contact pairs next to the
-        station are closed, and while K_I is negative, K_I is set to zero. The error is the largest
-        abs(K_I) set to zero.
+        Error of K_I in a solid with zero clearance: the largest abs(K_I) replaced by zero. K_I is
+        replaced by zero while all contact pairs next to the station are closed, and while the
+        computed K_I is negative.
     """
 
     time: np.ndarray
@@ -84,13 +84,14 @@ class StressIntensity(Tabular):
 
     @cached_property
     def numbers(self) -> Mapping[str, np.ndarray]:
-        """Extremes and ranges of K, by name: (n_tips,) [Pa m^1/2] each.
+        """Extremes and ranges over time at each tip, by name: (n_tips,) [Pa m^1/2].
 
-        Names are K_max, K_min, delta_K = K_max - K_min, delta_K_effective, K_II_max and in a solid
-        K_III_max. The effective range counts positive K_I only: max(K_max, 0) - max(K_min, 0).
+        K_max and K_min are the largest and smallest K_I, and delta_K = K_max - K_min.
+        delta_K_effective is the range of positive K_I: max(K_max, 0) - max(K_min, 0). K_II_max, and
+        K_III_max in a solid, are largest absolute values.
 
-        With a table ``[growth]``, delta_K_equivalent is added. This range begins at 0. Applied once
-        per load period, the range gives the same crack growth as all rainflow cycles in K_I.
+        With a table ``[growth]``, delta_K_equivalent is added. Crack growth by one cycle of K_I
+        from 0 to delta_K_equivalent equals growth by all rainflow cycles in a load period.
         """
         return tabulate_stress_intensity_values(self._tip_histories)
 
@@ -192,15 +193,17 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
 
     K_I and K_II at each instant follow from the displacement by the interaction integral. Its
     domain surrounds the tip or front, with inertia inside and contact on the crack faces. A front
-    has K_III, too. Each station has the mean over its neighbourhood along the front; stations at
-    the surface are extrapolated linearly from the next two (docs/solids.md).
+    has K_III, too. At a station, K is the mean over a neighbourhood along the front. K at the
+    surface is extrapolated linearly from the next two stations (docs/solids.md).
 
     The error of K_I due to the mesh is of first order in the element size. The attribute
     ``closed_front_errors`` states the error at fronts closed by contact. In a reduced structure the
-    static response to the load f and the contact forces lambda is exact; with the amplitudes q_r of
-    the modes,
+    static response K_static to the load f and the contact forces lambda is exact. Mode r adds K_r
+    times the amplitude q_r less the static amplitude:
 
-    .. math:: K = K_{\mathrm{static}}(f, \lambda) + \sum_r K_r (q_r - q_{r,\mathrm{static}}).
+    .. math:: K = K_{\mathrm{static}}(f, \lambda) + \sum_r K_r (q_r - q_{r,\mathrm{static}})
+
+    Here K_r is mode r's stress intensity at unit amplitude.
 
     Parameters
     ----------
