@@ -385,10 +385,11 @@ def find_passages_and_modes(
 
 
 def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> str:
-    """Describe a resonance in a run-up, its mode, and doubts in brackets.
+    """Describe a resonance in a run-up, with its mode.
 
-    ``mode`` is the mode's number from 1, or 0 if the resonance is not used. ``reason_text`` says
-    why the resonance is not used; "" if a mode is given.
+    Reasons for doubt follow in brackets, for example another vibration near the resonance. ``mode``
+    is the mode's number from 1, or 0 if the resonance is not used. ``reason_text`` says why the
+    resonance is not used; "" if a mode is given.
     """
     doubt_texts = [
         "another vibration is near this resonance, and frequency and damping may be wrong"
@@ -461,10 +462,25 @@ def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tup
 def _fit_passages(
     timing_table: TipTiming, arrivals: ArrivalTimes, diagram_or_none: Campbell | None
 ) -> tuple[PassageFit, ...]:
-    """Find the resonances in a run-up, with the stiffening by rotation.
+    """Find the resonances in a run-up of one blade.
 
-    If ``tip_timing.stiffening`` is given, this is the stiffening. Otherwise it comes from the
-    Campbell diagram. Without a diagram, the stiffening is 0.
+    The fit needs the stiffening, d ln w / d ln W for a natural frequency w over the rotor speed W.
+    If ``tip_timing.stiffening`` is given, this number is used. Otherwise the stiffening comes from
+    the Campbell diagram. Without a diagram, it is 0.
+
+    Parameters
+    ----------
+    timing_table : TipTiming
+        Table ``[tip_timing]``.
+    arrivals : ArrivalTimes
+        Arrivals of the blade.
+    diagram_or_none : Campbell or None
+        Campbell diagram of the blade.
+
+    Returns
+    -------
+    tuple of PassageFit
+        Fit of each resonance (:func:`find_passages`).
     """
     stiffening_or_function: float | StiffeningFunction = timing_table.stiffening or 0.0
     if timing_table.stiffening is None and diagram_or_none is not None:
