@@ -76,10 +76,10 @@ def arrivals_of_blades(
     scene : Scene
         With [tip_timing].
     source : mapping of int to ArrivalTimes, or path, optional
-        Mapping: measured arrivals by blade number, which are returned unchanged. Path: file of a
-        result of ``solve`` or ``curve``, from which arrivals are computed. Default: the scene is
-        solved for its steady vibration. A run-up along a curve ends before the curve becomes
-        unstable.
+        Mapping: measured arrivals by blade number, returned unchanged. Path: file of a result of
+        ``solve`` or ``curve``, from which arrivals are computed. Default: the scene is solved for
+        its steady vibration, and arrivals are computed from the solution. A run-up along a curve
+        ends before the curve becomes unstable.
     comm : MPI.Comm
         Ranks that share the structure.
 
@@ -88,7 +88,7 @@ def arrivals_of_blades(
     arrivals : dict of int to ArrivalTimes
         Arrivals by blade number from 1.
     run : Run or None
-        Run with the vibration of computed arrivals; None for measured arrivals.
+        Solution or curve from which the arrivals were computed; None for measured arrivals.
 
     Raises
     ------

@@ -363,10 +363,11 @@ def _yield_excessive_vibration_remarks(
 ) -> Iterator[str]:
     """Yield remarks on cracks that vibrate much more than all solved cracks.
 
-    A remark is a sentence about a crack between solved cracks, near a resonance. It names the load
-    and the vibration. The vibration exceeds twice the largest of all solved cracks
-    (:attr:`Options.max_vibration_ratio_to_solved_cracks`). The crack may then open and close unlike
-    every solved crack. If the motion is proportional to the load, there is no remark.
+    Such a crack lies between solved cracks, near a resonance. It may open and close in another way
+    than all solved cracks, so that interpolation is wrong. A remark is a sentence with the load and
+    the vibration. It follows if the vibration exceeds twice the largest of all solved cracks
+    (:attr:`Options.max_vibration_ratio_to_solved_cracks`). If the motion is proportional to the
+    load, there is no remark.
     """
     if has_load_independent_motion_shape(forward_models.scene):
         return
