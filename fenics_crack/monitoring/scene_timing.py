@@ -76,10 +76,10 @@ def arrivals_of_blades(
     scene : Scene
         With [tip_timing].
     source : mapping of int to ArrivalTimes, or path, optional
-        Mapping: measured arrivals by blade number, which are returned unchanged. Path: file of a
-        result of ``solve`` or ``curve``, from which arrivals are computed. Default: the scene is
-        solved for its steady vibration. A run-up along a curve ends before the curve becomes
-        unstable.
+        Mapping: measured arrivals by blade number, returned unchanged. Path: file of a result of
+        ``solve`` or ``curve``, from which arrivals are computed. Default: the scene is solved for
+        its steady vibration, and arrivals are computed from the solution. A run-up along a curve
+        ends before the curve becomes unstable.
     comm : MPI.Comm
         Ranks that share the structure.
 
@@ -88,7 +88,7 @@ def arrivals_of_blades(
     arrivals : dict of int to ArrivalTimes
         Arrivals by blade number from 1.
     run : Run or None
-        Run with the vibration of computed arrivals; None for measured arrivals.
+        Solution or curve from which the arrivals were computed; None for measured arrivals.
 
     Raises
     ------
@@ -385,10 +385,11 @@ def find_passages_and_modes(
 
 
 def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> str:
-    """Describe a resonance in a run-up, its mode, and doubts in brackets.
+    """Describe a resonance in a run-up, with its mode.
 
-    ``mode`` is the mode's number from 1, or 0 if the resonance is not used. ``reason_text`` says
-    why the resonance is not used; "" if a mode is given.
+    Reasons for doubt follow in brackets, for example another vibration near the resonance. ``mode``
+    is the mode's number from 1, or 0 if the resonance is not used. ``reason_text`` says why the
+    resonance is not used; "" if a mode is given.
     """
     doubt_texts = [
         "another vibration is near this resonance, and frequency and damping may be wrong"
@@ -461,10 +462,25 @@ def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tup
 def _fit_passages(
     timing_table: TipTiming, arrivals: ArrivalTimes, diagram_or_none: Campbell | None
 ) -> tuple[PassageFit, ...]:
-    """Find the resonances in a run-up, with the stiffening by rotation.
+    """Find the resonances in a run-up of one blade.
 
-    If ``tip_timing.stiffening`` is given, this is the stiffening. Otherwise it comes from the
-    Campbell diagram. Without a diagram, the stiffening is 0.
+    The fit needs the stiffening, d ln w / d ln W for a natural frequency w over the rotor speed W.
+    If ``tip_timing.stiffening`` is given, this number is used. Otherwise the stiffening comes from
+    the Campbell diagram. Without a diagram, it is 0.
+
+    Parameters
+    ----------
+    timing_table : TipTiming
+        Table ``[tip_timing]``.
+    arrivals : ArrivalTimes
+        Arrivals of the blade.
+    diagram_or_none : Campbell or None
+        Campbell diagram of the blade.
+
+    Returns
+    -------
+    tuple of PassageFit
+        Fit of each resonance (:func:`find_passages`).
     """
     stiffening_or_function: float | StiffeningFunction = timing_table.stiffening or 0.0
     if timing_table.stiffening is None and diagram_or_none is not None:

@@ -353,8 +353,11 @@ def _mark_jumped_points(
 ) -> np.ndarray:
     """Mark the points just before folds that a jump leaves out: (n,) bool.
 
-    A point is left out in two conditions together. All points from there to the fold are doubtful.
-    The load frequency differs from the fold's by less than 1e-3 times the fold's.
+    A fold is a point at which the load frequency turns back. The motion may jump a little before
+    the fold. A point is left out if both conditions hold:
+
+    - All points from this point to the fold are doubtful.
+    - The load frequency is below the fold's by less than 1e-3 times the fold's.
 
     Parameters
     ----------
@@ -382,9 +385,9 @@ def _mark_jumped_points(
 class _TipMotion:
     """Displacement u of a blade tip over the rotor angle alpha, along the rotation.
 
-    With q periods of the response in a revolution, the displacement is
+    With q periods of the response in a revolution, and H harmonics, the displacement is
 
-        u(alpha) = Re sum_k U_k exp(i k q alpha).
+        u(alpha) = Re sum_k U_k exp(i k q alpha), k = 0 to H.
 
     The rotor turns at constant acceleration, from the angle alpha = 0 at time 0.
 
@@ -398,7 +401,7 @@ class _TipMotion:
         Increasing speeds with known vibration. The harmonics U_k are linear between two speeds, and
         constant outside all speeds.
     tip_harmonics : (n, H+1) complex [m]
-        Harmonics U_k at these speeds, k = 0 to H.
+        Harmonics U_k at these speeds.
     periods_per_revolution : float
         Periods q of the response in a revolution.
     """

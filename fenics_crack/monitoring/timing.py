@@ -101,9 +101,11 @@ class Timing(SavableResult):
     def to_dict(self) -> dict[str, Any]:
         """Return the table's columns by name.
 
-        For a run-up with resonances, each row is a resonance; without any resonance the columns are
-        empty. For a single blade with any different fit, the rows are the fit's own: harmonics or
-        speeds. For several blades at constant speed, each row is a blade.
+        - Resonances in a run-up: each row is a resonance. Without any resonance the columns are
+          empty.
+        - A single blade, fitted at constant speed or with a tracked engine order: the rows are the
+          harmonics or the speeds of the fit.
+        - Several blades at constant speed: each row is a blade.
         """
         if self.has_resonance_fits:
             table_rows = [
@@ -290,9 +292,9 @@ def _conclude_on_run_up_resonances(
 
 
 def _describe_orders(statement_text: str, orders: Iterable[float]) -> str:
-    """Return a list of engine orders as text, for example "orders that fit, too: 5, 7".
+    """Return a list of engine orders as text: "orders that <statement_text>: 5, 7".
 
-    ``statement_text`` is the text between "that" and the colon.
+    For example, ``statement_text`` is "fit, too". ``orders`` are the engine orders.
     """
     return f"orders that {statement_text}: {format_first_orders([*orders])}"
 
@@ -323,18 +325,19 @@ def _conclude_on_tracked_engine_order(
 ) -> tuple[Conclusion, Table, list[str], list[str]]:
     """Conclude from an engine order that is tracked along a run-up.
 
-    A harmonic is significant if its amplitude at any of n speeds exceeds sqrt(2 ln(n / 0.001))
-    standard errors.
+    A harmonic here is a multiple of the engine order. It is significant if its amplitude at any of
+    n speeds exceeds sqrt(2 ln(n / 0.001)) standard errors.
 
     Returns
     -------
-    Conclusion
-        Speed and size at the peak of the first significant harmonic.
-    Table
-        Peak of each significant harmonic.
-    list of str
-        Notes with an upper bound for each other harmonic.
-    list of str
+    conclusion : Conclusion
+        Frequency and amplitude at the peak of the first significant harmonic; or the statement that
+        no harmonic is significant.
+    peak_table : Table
+        A row for each significant harmonic: values at the speed of its peak.
+    note_texts : list of str
+        Notes with an upper bound for each harmonic that is not significant.
+    doubt_texts : list of str
         Doubts about the fit.
     """
     track_table = track.table()

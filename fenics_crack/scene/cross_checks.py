@@ -135,9 +135,9 @@ def check_tables(scene: SceneTables) -> None:
 
 
 def _check_presence_and_types(scene: SceneTables) -> None:
-    """Raise InputError for a missing table, an excluded table, or a wrong class.
+    """Raise InputError if a table is missing, must be left out, or has a wrong type.
 
-    Some tables exclude others.
+    A table must be left out if another table of the scene excludes it.
     """
     condition_by_excluded_table = {
         table_name: condition
@@ -169,7 +169,11 @@ def _check_presence_and_types(scene: SceneTables) -> None:
 
 
 def _check_curve_parameter(scene: SceneTables, curve: result_tables.Curve) -> None:
-    """Raise InputError if a scene cannot follow a curve in the parameter."""
+    """Raise InputError if the parameter of a curve does not suit the scene.
+
+    The parameter "speed" needs an engine order, and no bladed disk. The parameter "load" needs a
+    rotor at rest.
+    """
     parameter = curve.parameter_and_range[0]
     curve.require(
         parameter != "speed" or scene.excitation.order is not None,
@@ -529,9 +533,15 @@ def _check_crack_distance(
 ) -> None:
     """Raise InputError if two cracks are too close.
 
-    For cracks at the same height, the distance between the tips is at least 1e-4 times the plate's
-    width. For cracks at different heights, the height difference is at least 1e-4 times the plate's
-    height.
+    The tips of cracks at the same height must be at least 1e-4 times the plate's width apart. The
+    heights of cracks at different heights must differ by at least 1e-4 times the plate's height.
+
+    Parameters
+    ----------
+    scene : SceneTables
+        Scene with the cracks.
+    first_crack_name, second_crack_name : str
+        Names of the cracks, such as "cracks.1".
     """
     first_crack, second_crack = (
         scene.crack_by_name[crack_name] for crack_name in (first_crack_name, second_crack_name)

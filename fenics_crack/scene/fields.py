@@ -98,14 +98,14 @@ class MeshFile(Axis):
 
 @dataclass(frozen=True)
 class Harmonic:
-    """Harmonic of a periodic load: cos cos(k omega t) + sin sin(k omega t).
+    """Harmonic of a periodic load: c cos(k omega t) + s sin(k omega t).
 
     Attributes
     ----------
     order : int
         k, the multiple of the load frequency omega.
     cos, sin : tuple of float
-        Amplitudes: components of a vector, or a single number for a pressure.
+        Amplitudes c and s: components of a vector, or a single number for a pressure.
     """
 
     order: int
@@ -187,10 +187,22 @@ def _read_number_or_numbers(value: object) -> float | tuple[float, ...]:
 def _make_axes_read_function(
     axis_class: type[Axis], read_axis_values: Callable[[str, object], tuple[Any, ...]]
 ) -> Callable[[object], tuple[Axis, ...]]:
-    """Return a function that reads a mapping from TOML as a tuple of ``axis_class`` objects.
+    """Return a function that makes axes from a mapping as read from TOML.
 
-    Each name in the mapping gives an object. ``read_axis_values(name, raw_values)`` converts the
-    values under a name. The returned function leaves a tuple of ``axis_class`` objects unchanged.
+    Each name in the mapping gives an axis. The returned function leaves a tuple of ``axis_class``
+    objects unchanged.
+
+    Parameters
+    ----------
+    axis_class : type
+        Class of the result's objects: :class:`Axis`, or a subclass such as :class:`MeshFile`.
+    read_axis_values : callable
+        Converts the raw values of an axis: ``read_axis_values(name, raw_values)``.
+
+    Returns
+    -------
+    callable
+        Function from the mapping to a tuple of ``axis_class`` objects.
     """
 
     def read_axes(value: object) -> tuple[Axis, ...]:
@@ -586,9 +598,10 @@ class Rule(NamedTuple):
     Attributes
     ----------
     condition : str
-        Condition as errors print it. A key is given: "geometry.file", or "point" in the same table.
-        A table is given: "[disk]". A key has a value: "mesh.layout = 'file'". The opposite begins
-        with "without": "without [disk]".
+        Condition, written as in errors. Examples: "[disk]", if the scene has the table;
+        "geometry.file", if the scene has the key; "point", if the same table has the key;
+        "mesh.layout = 'file'", if the key has the value. "without" before a condition makes the
+        opposite: "without [disk]".
     keys : tuple
         Restricted keys in a table.
     reason : str
@@ -628,7 +641,10 @@ def condition_holds(condition: str, table_by_name: Mapping[str, Any]) -> bool:
 
 
 def add_preposition(circumstance: str) -> str:
-    """Return "with" and a text, or a text that begins with "without" unchanged."""
+    """Return a circumstance with a preposition, for errors: "with [disk]".
+
+    A text that begins with "without" stays unchanged.
+    """
     return circumstance if circumstance.startswith("without ") else f"with {circumstance}"
 
 
@@ -733,9 +749,10 @@ class Table:
 
     @classmethod
     def _make_value_suggestion_text(cls, key: str, value: object) -> str:
-        """Return text for an error about a refused value.
+        """Return text to append to the error about a refused value.
 
-        The text is advice, or an allowed value similar to the refused value; otherwise empty.
+        The text is advice, or proposes an allowed value similar to ``value``. Without advice and
+        similar values, it is empty.
         """
         key_field = cls.field_by_key()[key]
         value_suggestions: list[Any] = []
@@ -892,8 +909,8 @@ class Table:
     def forbid_keys(self, keys: Iterable[str], circumstance: str) -> None:
         """Raise InputError if a key has another value than None or the default.
 
-        The error says that the key must be left out, with the ``circumstance``: "left out with
-        [disk]". A circumstance may also begin with "without".
+        ``circumstance`` completes the error: "[disk]" gives "left out with [disk]". A circumstance
+        that begins with "without" gets no "with".
         """
         for key in keys:
             is_absent = getattr(self, key) in (None, self.field_by_key()[key].default)
@@ -942,7 +959,8 @@ class Table:
     ) -> dict[str, Any]:
         """Return changes by key, in which the twin of each changed key becomes None.
 
-        The twin is the same quantity in another unit. Raises InputError if a key and its twin are
+        The twin is the same quantity in another unit. ``changes`` has new values by key. The
+        present values are used by subclasses alone. Raises InputError if a key and its twin are
         both changed.
         """
         cls.forbid_both_twins(changes)

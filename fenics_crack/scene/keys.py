@@ -332,8 +332,9 @@ def _merge_table_changes(table_name: str, table: Any, value_by_key: dict[str, ob
     table_name : str
         Name of the table.
     table : Table, mapping, str or None
-        Present table; a str is the value of the table's shorthand key. Any other object is
-        returned, and refused later.
+        Present table. A str is short for a table with one key: "off" for ``method = "off"`` in
+        [reduction]. An object of any different type is returned unchanged, and refused when the
+        table is made.
     value_by_key : dict
         Changed values by key.
     """
@@ -357,7 +358,17 @@ def _merge_list_changes(
 ) -> tuple[Any, ...]:
     """Return a list of tables with one table changed or appended.
 
-    ``list_position`` counts from 1. The length plus 1 appends a table.
+    Parameters
+    ----------
+    table_name : str
+        Name of the list, such as "cracks".
+    tables : list or tuple
+        Present tables; InputError for other types.
+    list_position : int
+        Position of the changed table, from 1. The number of tables plus 1 appends a table;
+        InputError for a larger position.
+    value_by_key : dict
+        Changed values by key.
     """
     if not isinstance(tables, list | tuple):
         raise InputError(table_name, tables, f"a list of tables headed [[{table_name}]]")
@@ -398,9 +409,9 @@ def _suggest_keys(misspelt_name: str) -> list[str]:
 
 
 def suggest_full_keys(misspelt_name: str) -> list[str]:
-    """Return full keys similar to a misspelt name or to a key without its table.
+    """Return full keys similar to a misspelt name, such as "crack.length" for "crack.lenght".
 
-    Empty if no key is similar.
+    The name may also be a key without its table. Empty if no key is similar.
     """
     full_key_by_short_key = {key.rpartition(".")[2]: key for key in reversed(known_keys())}
     suggested_full_keys = _suggest_keys(misspelt_name) or [
@@ -411,7 +422,10 @@ def suggest_full_keys(misspelt_name: str) -> list[str]:
 
 
 def _unknown_table_text(table_name: str) -> str:
-    """Return the requirement for an unknown table: suggestions and all table names."""
+    """Return the end of the error about an unknown table.
+
+    The text asks to leave out the table. Then follow similar names, and the names of all tables.
+    """
     suggestion_text = did_you_mean_text(_suggest_keys(table_name))
     return f"left out; {suggestion_text}known tables: {', '.join(TABLE_CLASS_BY_NAME)}"
 

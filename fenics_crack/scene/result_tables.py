@@ -88,11 +88,11 @@ class Curve(Table):
 
     @property
     def parameter_and_range(self) -> tuple[str, float, float]:
-        """Parameter's name in the equations, start and stop of the range.
+        """Curve parameter's name in the equations, start and stop of its range.
 
         The parameter "frequency" becomes "omega", and "rpm" becomes "speed", with start and stop in
-        rad/s. If ``at`` is "resonance", the name is "resonance", and the range is the load
-        factor's.
+        rad/s. If ``at`` is "resonance", the curve follows the resonance over the load. The name is
+        then "resonance", and start and stop are factors on the load.
         """
         if self.parameter == "rpm":
             return "speed", RAD_PER_S_PER_RPM * self.start, RAD_PER_S_PER_RPM * self.stop
@@ -180,12 +180,13 @@ class Sweep(Table):
 class Growth(Table):
     """Settings for crack growth by fatigue, for the command ``fenics-crack grow``.
 
-    Growth in a cycle of the load is
+    In a cycle of the load, the crack grows by
 
-        rate sum_i (delta_K_i / ((1 - R_i)^(1 - ratio_exponent) 1 MPa m^0.5))^exponent
+        rate sum_i (delta_K_i / ((1 - R_i)^(1 - ratio_exponent) 1 MPa m^0.5))^exponent.
 
-    over the K_I cycles in the load cycle. The ranges delta_K_i count K_I > 0 only, an open tip, and
-    R = max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970).
+    The sum is over the cycles i of K_I in the load cycle. Cycle i has the range delta_K_i and the
+    ratio R_i = max(K_min, 0) / K_max. A range counts only K_I > 0, since a tip with negative K_I is
+    closed (Paris and Erdogan 1963; Walker 1970).
     """
 
     _KEY_RULES = (
@@ -249,9 +250,10 @@ class Growth(Table):
 
     @property
     def repeat_cycles_and_duration(self) -> tuple[float, float] | None:
-        """Number of load cycles in one repeat of the load spectrum, and the duration [s].
+        """Number of load cycles in one pass through the load spectrum, and the duration [s].
 
-        None if ``cycles`` or ``frequencies`` is missing: only ``drive = "spectrum"`` has both.
+        The spectrum is the list ``frequencies`` with the number of ``cycles`` at each. None if one
+        of the keys is missing: only ``drive = "spectrum"`` has both.
         """
         if self.cycles is None or self.frequencies is None:
             return None
@@ -526,7 +528,11 @@ class Identify(Table):
 
     @property
     def mesh_files(self) -> tuple[str, ...]:
-        """Paths of ``meshes`` by :attr:`mesh_parameter_axes`, the last parameter fastest."""
+        """Paths of all mesh files in ``meshes``, ordered by parameter values.
+
+        The parameters are in the order of :attr:`mesh_parameter_axes`; the last parameter varies
+        fastest.
+        """
         mesh_parameter_axes = self.mesh_parameter_axes
         mesh_files_by_parameter_values = sorted(
             self.meshes,

@@ -79,9 +79,10 @@ class Scene(SceneTables):
     """A cracked structure, the load, and the settings for computing the vibration.
 
     Each table in the file is an attribute, and each key an attribute of the table:
-    ``scene.material.young``. All keys are under "Keys of a scene" in the reference. SI units;
-    frequencies given in Hz are there in rad/s too. An omitted table is None or has default values.
-    With the table ``structure`` the tables of a plate are None.
+    ``scene.material.young``. All keys are under "Keys of a scene" in the reference. Units are SI
+    units. A frequency given in Hz is stored in rad/s, too, under the key in rad/s. An omitted table
+    is None or has default values. If the scene has the table ``structure``, the tables of a plate
+    are None.
 
     Raises
     ------
@@ -206,9 +207,11 @@ class Scene(SceneTables):
     def given(self, name: str) -> Any:
         """Return the table ``name`` for a command that needs the table.
 
-        Raises InputError if the table is missing. Commands with a table in
-        ``MANY_SOLUTION_TABLE_NAMES`` solve many times; for them, InputError is also raised if
-        ``harmonic_balance.form`` is "block".
+        Raises
+        ------
+        InputError
+            The table is missing. Or ``harmonic_balance.form`` is "block", and the command for the
+            table solves many times (:data:`MANY_SOLUTION_TABLE_NAMES`).
         """
         if getattr(self, name) is None:
             raise missing_table_error(name, ", which this command needs")
@@ -352,9 +355,9 @@ class Scene(SceneTables):
 def _find_excluding_condition(scene: Scene, reason_by_condition: Mapping[str, str]) -> str:
     """Return the first condition that a scene fulfils, with the reason, as text.
 
-    ``reason_by_condition`` has reasons by condition, written as in :class:`Rule`. An example is
-    "with [disk]: stress intensities are not computed for bladed disks". The text is empty if no
-    condition holds.
+    Used to say why a quantity cannot be computed: "with [disk]: stress intensities are not computed
+    for bladed disks". The text is empty if no condition holds. ``reason_by_condition`` has the
+    reason for each condition; conditions are written as in :class:`Rule`.
     """
     for excluding_condition, reason in reason_by_condition.items():
         if condition_holds(excluding_condition, vars(scene)):
@@ -390,14 +393,18 @@ def reason_without_clamp_forces(scene: Scene) -> str:
 def refuse_for_reason(reason: str, key: str, value: object = None) -> None:
     """Raise InputError for a key and value; do nothing if ``reason`` is empty.
 
-    The reason begins with "with" or "without", since the error says "left out" before it.
+    The error asks to leave out the key: "left out" and the reason. So the reason begins with "with"
+    or "without".
     """
     if reason:
         raise InputError(key, value, f"left out {reason}")
 
 
 def _reason_without_observable(scene: Scene, observable: Observable) -> str:
-    """Return why an observable cannot be computed for a scene; "" if it can."""
+    """Return why a number cannot be computed for a scene; "" if it can.
+
+    ``observable`` describes the number, for example K_max at a crack tip.
+    """
     if ObservableTableFlag.REQUIRES_FRICTION in observable.flags and not scene.has_friction:
         return "without contact.friction"
     if ObservableTableFlag.REQUIRES_GROWTH_LAW in observable.flags and scene.growth is None:
@@ -416,7 +423,9 @@ def _reason_without_observable(scene: Scene, observable: Observable) -> str:
 def list_requested_extra_quantities(scene: Scene) -> tuple[str, ...]:
     """Return the names in ``output.quantities`` that are computed only on request.
 
-    Numbers of displacements, crack faces and the nearest mode are always computed.
+    Examples are stress intensities at crack tips, and forces on the clamp. Numbers of
+    displacements, crack faces and the mode nearest to the load frequency are left out: they are
+    always computed.
     """
     return tuple(
         quantity_name

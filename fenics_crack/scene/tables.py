@@ -254,11 +254,13 @@ class Material(Table):
 class Damping(Table):
     """Modal or Rayleigh damping, given in one of three ways.
 
-    Modal: ``ratio``, xi_j relative to critical damping, for each of the lowest ``modes``. With
-    ``modes = "all"`` and one ratio, all coordinates of a reduced structure are damped.
-
-    Rayleigh, C = mass M + stiffness K: ``mass`` and ``stiffness``, or one of them. Or ``ratios``,
-    the damping ratios at the two frequencies ``omegas`` or ``frequencies``.
+    - Modal damping: ``ratio`` is the damping relative to critical damping, for each of the lowest
+      ``modes``. With ``modes = "all"`` and one ratio, all coordinates of a reduced structure are
+      damped.
+    - Rayleigh damping by ``mass`` and ``stiffness``, or one of both: the factors in C = mass M +
+      stiffness K. C, M and K are the matrices of damping, mass and stiffness.
+    - Rayleigh damping by ``ratios``: the damping ratios at the two frequencies ``omegas`` or
+      ``frequencies``.
     """
 
     ratio: float | tuple[float, ...] | None = any_type_field(
@@ -339,10 +341,10 @@ class Damping(Table):
 
 
 class PeriodicLoad:
-    """Base class for tables with periodic loads.
+    """Base class for tables with a periodic load.
 
-    ``harmonics`` are the load's further harmonics. Only an excitation has ``wave``, the path of a
-    file with one period of a force, from which ``wave_harmonics`` harmonics are kept.
+    ``harmonics`` are further harmonics of the load. Only an excitation has ``wave``, the path of a
+    file with one period of a force. The first ``wave_harmonics`` harmonics are kept from the file.
     """
 
     harmonics: tuple[Harmonic, ...]
@@ -869,10 +871,10 @@ class HarmonicBalance(Table):
         )
 
     def with_load_harmonics(self, highest_order: int) -> HarmonicBalance:
-        """Return the table with at least ``highest_load_harmonic`` harmonics.
+        """Return the table with at least as many harmonics as the load.
 
-        ``highest_load_harmonic`` is the highest harmonic of any load. The default number of
-        harmonics is increased if necessary. Raises InputError if the scene gives a smaller number.
+        ``highest_order`` is the highest harmonic of any load. If necessary, the default number of
+        harmonics is increased. Raises InputError if the scene gives a smaller number.
         """
         has_enough_harmonics = self.harmonics >= highest_order
         self.require(
@@ -969,11 +971,18 @@ class Mesh(Table):
 class Structure(Table):
     """Matrices in files beside the scene, instead of a plate.
 
-    M u'' + C u' + K u + B lambda(g) = f(t), g = B^T u - g0. The tables [geometry], [material],
-    [mesh], [crack] and [base] are then left out. Files have the formats of Matrix Market, CalculiX
-    (.sti, .mas), Abaqus (.mtx) or Nastran (.pch, .op4); columns are in Matrix Market files. With
-    the matrices' model, the load may act at excitation.point. The model's contact pairs are found
-    if there is contact without a file for the gaps.
+    The equations are
+
+        M u'' + C u' + K u + B lambda(g) = f(t), g = B^T u - g0
+
+    with displacements u, mass M, damping C, stiffness K, load f, gaps g of contact pairs, contact
+    forces lambda, gap matrix B and clearance g0. The tables [geometry], [material], [mesh], [crack]
+    and [base] are left out.
+
+    Files have the formats of Matrix Market, CalculiX (.sti, .mas), Abaqus (.mtx) or Nastran (.pch,
+    .op4); columns are in Matrix Market files. With the ``model`` that belongs to the matrices, the
+    load may act at excitation.point. If there is contact without a file for the gaps, the contact
+    pairs are found in the model.
     """
 
     mass: str = path_field("the path of a file with an (n, n) matrix", MISSING)

@@ -88,7 +88,17 @@ class GatheredCsrMatrix:
     def gather(cls, matrix: Any, comm: MPI.Comm) -> Any:
         """Gather a matrix's rows from all ranks, in rank order (collective).
 
-        ``matrix`` is a SciPy CSR matrix with this rank's rows, or None. None gives None.
+        Parameters
+        ----------
+        matrix : scipy.sparse.csr_matrix or None
+            Rows on this rank.
+        comm : MPI.Comm
+            Ranks that share the matrix.
+
+        Returns
+        -------
+        GatheredCsrMatrix or None
+            All rows, on every rank; None if ``matrix`` is None.
         """
         if matrix is None:
             return None
@@ -113,21 +123,24 @@ class PreparedStructure:
     """Data of a whole (unreduced) structure and its receptances, for a file.
 
     A receptance (:class:`Receptance`) has modes, and static responses at contact pairs, load and
-    watched points.
+    watched points. The arrays have the rows of all ranks.
 
     Attributes
     ----------
     gap, tangential : GatheredCsrMatrix or None
-        Matrices (n_dofs, ...) from displacements to normal and tangential gaps, as in
+        Matrices from displacements to normal gaps (n_dofs, n_pairs), and to tangential gaps, as in
         :class:`Structure`.
-    tangents, shares : GatheredCsrMatrix or None
-        The matrices ``tangential_gap_matrix`` and ``pressure_matrix`` of a solid's pairs
-        (:class:`Pairs`). They are left out in the field ``pairs``.
+    tangents : GatheredCsrMatrix or None
+        ``tangential_gap_matrix`` of a solid's pairs (:class:`Pairs`): tangential gaps in two
+        directions. The field ``pairs`` leaves it out.
+    shares : GatheredCsrMatrix or None
+        ``pressure_matrix`` of a solid's pairs (:class:`Pairs`): distribution of each contact force
+        over nodes. The field ``pairs`` leaves it out.
     force, clearance, watched, nodes, pairs, clamp
-        As in :class:`Structure`, with the rows of all ranks.
+        As in :class:`Structure`.
     receptances : tuple of Receptance
-        Receptance under this load with normal gaps; then, for a solid, with tangential gaps, too.
-        A receptance that was not computed is missing.
+        Receptance under this load with normal gaps; then, for a solid, with tangential gaps, too. A
+        receptance that was not computed is missing.
     mass, stiffness : GatheredCsrMatrix or None
         Matrices (n_dofs, n_dofs); None if the file does not keep them.
     key : str
@@ -161,7 +174,8 @@ class PreparedStructure:
         Parameters
         ----------
         structure : Structure
-            Whole structure. From a copy with varied properties, the original is gathered.
+            Whole structure. If it is a copy with varied properties, for example another damping,
+            the original structure is gathered.
         vtk_type : int
             VTK's number of the cell type, for :class:`Nodes`.
         datasets
@@ -212,9 +226,9 @@ class PreparedStructure:
         scene : Scene
             Source of damping and clearance.
         load_weight_matrix : (n, 2K+1)
-            Matrix W (:func:`weight_matrix_of_load_rows`). The scene's load is W times the file's
-            load. The file's load has 2K+1 rows: mean, cosine and sine parts of the harmonics 1 to
-            K.
+            Matrix W from the file's load to the scene's load (:func:`weight_matrix_of_load_rows`).
+            Columns are rows of the file's load: mean, then cosine and sine parts of the harmonics 1
+            to K. Rows are the n rows of the scene's load.
         comm : MPI.Comm
             Ranks that share the structure.
         """
@@ -361,9 +375,9 @@ class PreparedFileContent:
         scene : Scene
             Source of damping and clearance.
         load_weight_matrix : (n, 2K+1)
-            Matrix W (:func:`weight_matrix_of_load_rows`). The scene's load is W times the file's
-            load. The file's load has 2K+1 rows: mean, cosine and sine parts of the harmonics 1 to
-            K.
+            Matrix W from the file's load to the scene's load (:func:`weight_matrix_of_load_rows`).
+            Columns are rows of the file's load: mean, then cosine and sine parts of the harmonics 1
+            to K. Rows are the n rows of the scene's load.
         comm : MPI.Comm
             Ranks that share the structure.
         """
@@ -554,10 +568,11 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
 
 
 def dependencies_without_amplitudes(dependencies: tuple[Any, Any, Any]) -> tuple[Any, ...]:
-    """Return the values that must equal those in a structure's file.
+    """Return the values of a scene that must equal those of a structure file.
 
-    Clearances and damping are left out, and from the table ``[excitation]`` the keys force_mean,
-    force_cos, force_sin and harmonics.
+    A structure file serves scenes that differ in load amplitudes, clearances or damping. So the
+    result leaves out clearances, damping, and the keys force_mean, force_cos, force_sin and
+    harmonics of the table ``[excitation]``.
 
     Parameters
     ----------
@@ -589,9 +604,9 @@ def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.nd
 def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarray:
     """Return the matrix W from a file's load to a scene's load: (n, 2K+1).
 
-    A load matrix F has rows for the mean force and for the cosine and sine parts of each harmonic.
-    W is such that F_scene = W F_file. W also gives the static responses to the scene's load from
-    those to the file's load.
+    W is such that F_scene = W F_file. A load matrix F has a row for the mean force, then rows for
+    the cosine and sine part of each harmonic. The static responses in the file are computed for
+    F_file. W times these responses are the responses to the scene's load.
 
     Parameters
     ----------

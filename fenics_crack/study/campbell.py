@@ -183,10 +183,10 @@ class Campbell(SavableResult):
 
     @cached_property
     def _frequencies_and_hold_margins_function(self) -> FrequenciesAndHoldMarginsFunction:
-        """Function for :attr:`frequencies_and_margins_at_speed`.
+        """Function from a rotor speed to frequencies and margins.
 
-        If :attr:`frequencies_and_margins_at_speed` is None (diagram from a file), the blade is
-        meshed again to make it.
+        The function is :attr:`frequencies_and_margins_at_speed`. If this is None (diagram from a
+        file), the blade is meshed again to make it.
         """
         n_modes = self.omega_open.shape[1]
         return (
@@ -390,8 +390,9 @@ class Campbell(SavableResult):
     def yield_crossing_texts(self, order: int) -> Iterator[str]:
         """Yield a text for each crossing of an engine order.
 
-        A text names the mode and, if known, the resonance under the load. Then follow the speed for
-        the crack's actual state, and the speeds if the crack were in other states.
+        ``order`` is the engine order. A text names the mode, and the resonance under the load, if
+        known. Then follow the speed of the crossing for the crack's actual state, and the speeds if
+        the crack were in other states. Last comes the stiffening (:meth:`stiffening`).
         """
         for mode, speed, resonance in self._list_crossings_with_resonances(order):
             crossing_text = f"engine order {order} meets mode {mode} at "
@@ -453,7 +454,8 @@ class Campbell(SavableResult):
     def interpolate_open_and_tied(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
         """Interpolate the frequencies with open and bonded crack at a rotor speed.
 
-        Squared frequencies are taken as linear in the squared speed, also beyond the diagram.
+        Squared frequencies are taken as linear in the squared speed, also beyond the fastest speed
+        of the diagram.
 
         Parameters
         ----------
@@ -668,7 +670,8 @@ def _find_modes_and_load_resonances(
 ) -> tuple[tuple[int, ResonanceUnderLoad], ...]:
     """Find the resonance at each crossing of the load's engine order.
 
-    A resonance is that of the nonlinear structure under the load.
+    The resonance is that of the nonlinear structure under the load, with opening and closing crack.
+    A crossing only estimates its speed.
 
     Parameters
     ----------
@@ -820,6 +823,7 @@ def _find_modal_peak_amplitudes(
 ) -> np.ndarray:
     """Return modal amplitudes at the modes' own resonances: (n_modes,).
 
+    Used to decide if vibration at resonance overcomes the force that holds a crack open or shut.
     The amplitude is |phi . f| / (2 xi w^2), with the mode shape phi, the damping ratio xi, the
     frequency w and the load f. It is inf without damping, and 0 without a modal force.
 
@@ -851,7 +855,8 @@ def _find_frequencies_and_hold_margins(
     """Find natural frequencies and margins for three states of the crack.
 
     The states are: crack open; crack shut (all pairs bonded); and partly open (pairs pressed at
-    rest are bonded).
+    rest are bonded). A margin says by how much rotation or mean load holds the crack in a state. If
+    it is negative, vibration at resonance opens or closes a pair.
 
     Parameters
     ----------
@@ -860,19 +865,19 @@ def _find_frequencies_and_hold_margins(
     peak_amplitude_function : callable
         Returns the modal amplitudes at resonance (:data:`PeakAmplitudeFunction`).
     n_modes : int
-        Number of lowest modes with open crack. The frequencies of the other states belong to the
-        same mode shapes.
+        Number of lowest modes with open crack. In the other states, the frequencies of the most
+        similar mode shapes are taken.
     n_bonded_modes : int
-        Number of lowest modes of the other states, among which these shapes are sought.
+        Number of lowest modes of the other states, among which the similar shapes are sought.
 
     Returns
     -------
     omega : (3, n_modes) [rad/s]
         Frequencies of the states open, shut, partly open.
     hold_margins : (3, n_modes)
-        Margin that holds the crack in each state at resonance: the smallest over all pairs. For an
-        open pair it is the opening at rest less the amplitude [m]. For a bonded pair it is the
-        force at rest less the amplitude [N].
+        Margin of each state at resonance: the smallest over all pairs. For an open pair it is the
+        opening at rest less the amplitude [m]. For a bonded pair it is the force at rest less the
+        amplitude [N].
     """
     open_modes = solve_modes(structure, n_modes)
     if not structure.n_pairs:
@@ -908,12 +913,13 @@ def _find_held_frequencies_and_margins(
     is_bonded: np.ndarray,
     n_bonded_modes: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find natural frequencies with some pairs bonded, and the margins that hold the crack so.
+    """Find natural frequencies with bonded pairs, and the margins that keep this state.
 
     Parameters
     ----------
     open_modes : Modes
-        Modes with open crack. A mode with bonds is selected for each, with the most similar shape.
+        Modes with open crack. For each, the mode with bonded pairs and the most similar shape is
+        taken.
     peak_amplitude_function : callable
         Returns the modal amplitudes at resonance (:data:`PeakAmplitudeFunction`).
     rest_forces_or_openings : (n_pairs,) [m], [N]
@@ -921,7 +927,7 @@ def _find_held_frequencies_and_margins(
     is_bonded : (n_pairs,) of bool
         True for bonded pairs.
     n_bonded_modes : int
-        Number of lowest modes with bonds, among which the shapes are sought.
+        Number of lowest modes with bonded pairs, among which the similar shapes are sought.
 
     Returns
     -------

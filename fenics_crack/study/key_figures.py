@@ -123,7 +123,9 @@ class PreSolutionKeyFigures:
 def find_key_figures(study: Study) -> PreSolutionKeyFigures:
     """Compute natural frequencies, static responses and amplitudes for remarks (collective).
 
-    Linear equations are solved, and a single nonlinear problem: which pairs the mean load closes. A
+    The remarks warn of unusual values before a scene is solved
+    (:mod:`fenics_crack.study.plausibility`). So the computation must be fast: it solves linear
+    equations, and a single nonlinear problem, to find the pairs that the mean load closes. A
     reduced study is not expanded, since its static responses are exact.
     """
     scene, law = study.scene, study.contact
@@ -211,14 +213,16 @@ def _solve_modes_and_static_responses(
     Returns
     -------
     search_modes : Modes
-        Lowest modes with open crack: 10 (N_RESONANCE_SEARCH_MODES), or all if there are fewer.
+        Lowest 10 modes with open crack (:data:`N_RESONANCE_SEARCH_MODES`), or all if there are
+        fewer.
     modes, bonded_modes : Modes
         At most 4 modes with open and with bonded crack, for the key figures.
     static_displacements : (2N+1, n_local) [m]
-        Static responses to the load's mean, and to the cosine and sine parts of N harmonics; with
-        the n_local coordinates on this rank.
+        Static responses to the load's mean, and to the cosine and sine parts of N load harmonics,
+        in the n_local coordinates on this rank.
     face_compliance : (n_pairs, n_pairs) [m/N]
-        B^T K^-1 B with the gap matrix B and the stiffness K.
+        Static gap at each pair under a unit force on each pair, with open crack: B^T K^-1 B, with
+        the gap matrix B and the stiffness matrix K.
     """
     known_omega_and_shapes = structure.known_omega_and_shapes(is_bonded=False)
     n_available_modes = (
@@ -252,7 +256,8 @@ def _amplitude_bounds(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return upper bounds of amplitudes at a load frequency (collective).
 
-    A bound is the sum of the amplitudes of all harmonics.
+    A bound is the sum of the amplitudes of all N load harmonics. The response is linear: pairs stay
+    open or closed.
 
     Parameters
     ----------
@@ -261,14 +266,14 @@ def _amplitude_bounds(
     modal_damping_ratios : (n_modes,)
         Ratios of critical damping.
     static_complex_amplitudes : three arrays of complex
-        Responses to the harmonics 1 to N of the load: static displacements (N, n_local) [m], static
-        gaps (N, n_pairs) [m] and modal loads (N, n_modes). n_local coordinates are on this rank.
+        Static responses to the load harmonics 1 to N: displacements (N, n_local) [m] in the n_local
+        coordinates on this rank; gaps (N, n_pairs) [m]; and modal loads (N, n_modes).
     face_compliance : (n_pairs, n_pairs) [m/N]
         Static gaps under unit forces at the pairs, with open crack.
     modal_gaps : (n_modes, n_pairs)
         Gaps of the mode shapes.
     is_closed : (n_pairs,) of bool
-        Pairs that stay closed.
+        True for pairs that the mean load closes.
     watched_dofs : sequence of int
         Dofs of the watched displacements.
     load_omega : float [rad/s]
@@ -450,8 +455,10 @@ def list_modal_damping_ratios(whole_structure: Structure, natural_omegas: np.nda
 
     Parameters
     ----------
+    whole_structure : Structure
+        Whole structure with the damping rule.
     natural_omegas : (n,) [rad/s]
-        Frequencies of the lowest modes.
+        Frequencies of the n lowest modes.
     """
     damping_rule = whole_structure.damping
     if isinstance(damping_rule, RayleighDamping):
@@ -479,8 +486,9 @@ def _modal_receptances_minus_static(
         d_j(w) = 1 / (w_j^2 - w^2 + 2 i xi_j w_j w)
 
     is the receptance of a mode with frequency w_j and damping ratio xi_j, at the load frequency w
-    (``omega``). For rigid-body modes d_j(w) is returned, since static responses do not contain
-    them.
+    (``omega``). 1 / w_j^2 is its static value. The difference is added to static responses, in
+    which the static part of all modes is contained already. Rigid-body modes are not contained: for
+    them d_j(w) is returned.
     """
     squared_omegas = natural_omegas**2
     denominators = squared_omegas - omega**2 + 2j * modal_damping_ratios * natural_omegas * omega

@@ -140,9 +140,10 @@ def _coarser_over_fine_element_length(
 
 
 def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure) -> str:
-    """Describe how cracks differ in a coarser mesh; "" if they agree.
+    """Describe how cracks in the file ``mesh.coarser`` differ from those in the mesh.
 
-    Area and centroid of the crack faces may differ by about one element of the coarser mesh.
+    Such a mesh cannot be used to estimate the mesh error. Area and centroid of the crack faces may
+    differ by about one element of the coarser mesh. If all cracks agree, return "".
     """
     areas_and_points_of_cracks = _pair_areas_and_points_of_cracks(structure)
     coarser_areas_and_points = _pair_areas_and_points_of_cracks(coarser_structure)
@@ -195,8 +196,8 @@ def _pair_areas_and_points_of_cracks(structure: Structure) -> list[tuple[np.ndar
 def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None:
     """Return a scene with a finer or coarser mesh, or None.
 
-    None is returned for mesh files. A grid cannot be made coarser if its number of columns or rows
-    is odd: then, too, None is returned.
+    None is returned for mesh files. It is also returned if a grid with an odd number of columns or
+    rows would have to become coarser.
 
     - The number of elements along crack faces is rounded up. ``mesh.size`` and ``mesh.patches``
       change by the resulting factor, so that the mesh stays similar.
@@ -204,8 +205,8 @@ def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None
       too (:func:`_refine_graded_elements`).
     - For a finer mesh of a solid or sector, a ``mesh.size`` above the shortest side is first
       replaced by this side.
-    - A grid becomes finer by the next whole factor, so that cracks stay on grid lines. It becomes
-      coarser by 2.
+    - A grid becomes finer by ``refinement_factor``, rounded up to a whole number, so that cracks
+      stay on grid lines. It becomes coarser by 2.
 
     Parameters
     ----------

@@ -52,10 +52,15 @@ Each expansion factors the structure again."""
 def make_requested_rows_and_readers(study: Study) -> list[ExtraRows]:
     """Make rows and readers for requested numbers of crack tips and clamp (collective).
 
-    A requested number is for example K_max. It follows from the time histories R u of a
-    displacement u. Each :class:`ExtraRows` has the rows R, and a function that reads the numbers
-    from R u. The list is empty if the scene requests no such numbers. Rows are made once for the
-    study's structure.
+    A requested number is for example K_max. It is computed from time histories R u, with a
+    displacement u and rows R. Both the rows and the function that reads the numbers from R u are in
+    an :class:`ExtraRows`. The rows are made once for the study's structure.
+
+    Returns
+    -------
+    list of ExtraRows
+        An entry for crack tips and one for the clamp, as requested; empty if the scene requests no
+        such numbers.
     """
     requested_places = {
         OBSERVABLES_BY_NAME[requested_quantity_name].place
@@ -135,8 +140,15 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
 class ClampReactions(NamedTuple):
     """Forces and moments of the clamp at n instants.
 
-    ``force`` is (n, d) [N] and ``moment`` (n, n_rigid - d) [N m], for the n_rigid rigid-body
-    motions: 3 in a plate, 6 in a solid.
+    The mesh has d dimensions. n_rigid is the number of rigid-body motions: 3 in a plate, 6 in a
+    solid.
+
+    Attributes
+    ----------
+    force : (n, d) [N]
+        Components of the force.
+    moment : (n, n_rigid - d) [N m]
+        Components of the moment: 1 in a plate, 3 in a solid.
     """
 
     force: np.ndarray
@@ -179,8 +191,10 @@ def _clamp_and_rayleigh_mass_factor(whole_structure: Structure) -> tuple[ClampRe
 def clamp_inertia_rows(structure: Structure) -> np.ndarray:
     """Return the rows r^T M for the rigid-body motions r: (n_rigid, n_local) (collective).
 
-    M is the mass matrix. The columns are the structure's n_local coordinates on this rank. In a
-    reduced structure only the kept modes have inertia, since truncated modes respond statically.
+    M is the mass matrix. The rows times an acceleration give the inertia force, and so the force on
+    the clamp. n_rigid is 3 in a plate, 6 in a solid. The columns are the structure's n_local
+    coordinates on this rank. In a reduced structure only the kept modes have inertia, since
+    truncated modes respond statically.
     """
     whole_structure = structure.whole
     inertia_rows = _clamp_and_rayleigh_mass_factor(structure.whole)[0].inertia
@@ -339,9 +353,8 @@ def estimate_closed_front_and_mesh_errors(
     """Estimate errors of stress intensities at closed fronts and by the mesh (collective).
 
     Without clearance, a front is closed at a station while all contact pairs next to the station
-    are in contact. The computed K_I is then set to zero, and also while negative
-    (:class:`CrackTipHistory`). Both dicts are empty for a plate, or if the scene requests no
-    numbers of crack fronts.
+    are in contact. The computed K_I is then set to zero. It is also set to zero while negative
+    (:class:`CrackTipHistory`).
 
     Parameters
     ----------
@@ -356,9 +369,11 @@ def estimate_closed_front_and_mesh_errors(
         For each requested number, the largest abs(K_I) set to zero (``closed_front_error``). Empty
         if ``difference_by_name`` is infinite.
     difference_by_name : dict of str to float [Pa m^1/2]
-        For each requested number, the difference between both meshes. At a single station it may
-        vanish by chance: so the maximum along all fronts is taken. Infinite if the coarser mesh
+        For each requested number, the difference between both meshes. It is the maximum along all
+        fronts, since it may vanish by chance at a single station. Infinite if the coarser mesh
         lacks the numbers, or has fewer than 3 stations on a front.
+
+    Both are empty for a plate, or if the scene requests no numbers of crack fronts.
     """
     requested_quantity_names = set(list_requested_extra_quantities(study.scene))
     quantity_names = sorted(
@@ -575,10 +590,11 @@ def find_rainflow_maxima_and_minima(values: np.ndarray) -> np.ndarray:
 
 
 def _make_tip_intensity_rows_and_reader(study: Study) -> ExtraRows:
-    """Make the rows of K at crack tips, and the function that reads numbers (collective).
+    """Make stress intensity rows at crack tips, and a function to read numbers (collective).
 
-    The numbers belong to the tip or station with the largest range of positive K_I. In a solid,
-    K_max is the largest K_I of all stations, which decides on fracture.
+    The function returns numbers by name, such as "K_max" [Pa m^1/2], from a motion's record. The
+    numbers belong to the tip or station with the largest range of positive K_I. In a solid, K_max
+    is the largest K_I of all stations, which decides on fracture.
     """
     tips, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
 
@@ -600,9 +616,10 @@ def _make_tip_intensity_rows_and_reader(study: Study) -> ExtraRows:
 
 
 def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
-    """Make the rows of K along a half-ellipse's front, and the reading function (collective).
+    """Make stress intensity rows along an ellipse's front, and a reading function (collective).
 
-    The function returns numbers at the deepest station, and the mean over the front's ends at the
+    The crack is a half-ellipse at the surface of the body. The function returns numbers by name
+    from a motion's record: at the deepest station, and the mean over the front's ends at the
     surface.
     """
     stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
@@ -636,10 +653,11 @@ def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
 
 
 def _make_clamp_rows_and_reader(study: Study) -> ExtraRows:
-    """Make the clamp's rows r^T M, and the function that reads numbers (collective).
+    """Make the clamp's rows r^T M, and a function that reads numbers (collective).
 
-    r are the rigid-body motions and M the mass matrix. The numbers are the largest force [N] and
-    moment [N m] of the clamp.
+    r are the rigid-body motions and M the mass matrix (:func:`clamp_inertia_rows`). The function
+    returns numbers by name from a motion's record: the largest force [N] and the largest moment [N
+    m] of the clamp.
     """
     inertia_rows = study.structure.compute_once(clamp_inertia_rows)
     return ExtraRows(

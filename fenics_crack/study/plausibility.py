@@ -147,8 +147,8 @@ def _iterate_remarks(
 ) -> Iterator[Remark]:
     """Yield the remarks of several rules on a scene.
 
-    A value may be plausible in another unit of ``factor_by_mistyped_unit``. The remark then
-    proposes the first such unit.
+    If a value is plausible in another unit of ``factor_by_mistyped_unit``, the remark proposes the
+    first such unit.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def _iterate_remarks(
     scene : Scene
         Scene to check.
     rule_arguments
-        Further arguments for the rules' functions: the structure or the key figures.
+        Passed to the functions of the rules after the scene: the structure, or the key figures.
     """
     geometry_table = scene.geometry
     body_kind = "structure" if geometry_table is None else geometry_table.kind
@@ -229,7 +229,10 @@ def _list_first_given_key_and_value(scene: Scene, keys: str) -> list[tuple[str, 
 
 
 def _side_length_if_longest(side_length: float, scene: Scene) -> float | None:
-    """Return ``side_length`` [m] if no side of the plate is longer, else None."""
+    """Return a plate's side length [m] if no side is longer, else None.
+
+    Used to remark on the longest side alone.
+    """
     geometry_table = scene.geometry
     return (
         side_length
@@ -452,15 +455,20 @@ def _compare_frequency_in_other_unit(
 ) -> tuple[float, ...] | None:
     """Return three numbers if the load frequency seems to be in another unit, else None.
 
-    The unit is doubtful under two conditions. The load frequency is not within 10 % of a natural
-    frequency. But ``other_unit_factor`` times the load frequency is within 10 % of the first open
-    or bonded frequency.
+    The unit is doubtful if both conditions hold:
+
+    - The load frequency is not within 10 % of a natural frequency.
+    - ``other_unit_factor`` times the load frequency is within 10 % of the first natural frequency,
+      with open or bonded crack.
+
+    The second argument is the value of the key; it is not used.
 
     Returns
     -------
-    (float, float, float) or None
-        Load frequency divided by the first natural frequency with open crack; and this natural
-        frequency in [Hz] and in [rad/s].
+    frequency_ratio : float
+        Load frequency divided by the first natural frequency with open crack.
+    first_frequency_hz, first_omega : float [Hz], [rad/s]
+        This natural frequency in both units.
     """
     first_omega, omega = float(key_figures.omega_open[0]), scene.excitation.omega
     natural_omegas = np.concatenate([key_figures.omega_open, key_figures.omega_tied])
@@ -485,8 +493,9 @@ def _missed_first_omega_and_text(
 ) -> tuple[float, str] | None:
     """Return the first natural frequency if a curve meets no resonance.
 
-    Resonances are expected between the open and the bonded frequency of each of the first modes.
-    The load frequency, or 1/2, 2 or 3 times the load frequency, must lie there.
+    Resonances are expected between the open and the bonded frequency of each of the first modes. A
+    curve meets a resonance if its load frequency, or 1/2, 2 or 3 times its load frequency, lies
+    there. The first argument is the value of the key; it is not used.
 
     Returns
     -------
@@ -575,6 +584,9 @@ def _linear_gap_motion_and_verb(
     _: object, scene: Scene, key_figures: PreSolutionKeyFigures
 ) -> tuple[float, str] | None:
     """Return the gaps' largest motion if no contact pair opens and closes.
+
+    The response is then linear, as a remark says. The first argument is the value of the key; it is
+    not used.
 
     Returns
     -------

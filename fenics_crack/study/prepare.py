@@ -214,9 +214,11 @@ def _find_watched_displacements(
 def _find_structure_in_reference_study(scene: Scene, reference_study: Study) -> Structure | None:
     """Make a scene's structure from another study's mesh and matrices (collective).
 
-    The scene may differ from the scene of ``reference_study`` in rotor speed and load frequency;
-    for a bladed disk in mistuning and load frequency. None if more differs. For a structure other
-    than a disk, also None if it does not rotate.
+    ``scene`` may differ from the scene of ``reference_study`` in rotor speed, load frequency and
+    reduction. For a bladed disk, it may differ in mistuning and load frequency. Tables that only
+    choose results may always differ.
+
+    None if more differs. Also None if a structure other than a disk does not rotate.
     """
     reference_scene, reference_structure = reference_study.scene, reference_study.structure.whole
     if reference_scene.disk is not None:
@@ -281,7 +283,8 @@ def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
 class ModalReduction(NamedTuple):
     """Method of a modal reduction, and number of kept modes.
 
-    Methods are "massless" and "free_interface".
+    The methods are "massless" (crack faces lose their mass) and "free_interface" (crack faces keep
+    it).
     """
 
     method: str
@@ -293,7 +296,8 @@ def modal_reduction_or_none(scene: Scene, structure: Structure) -> ModalReductio
 
     A structure is not reduced if ``reduction.method = 'off'``. On one rank, a structure with at
     most 100 dofs and no table ``[reduction]`` is not reduced, either. If all modes are damped and
-    no number of modes is given, 50 are kept.
+    no number of modes is given, 50 are kept. In a bladed disk, the keys of ``[disk]`` give the
+    number of modes.
 
     ``reduction.method`` sets the method. The default is "massless": crack faces lose their mass. In
     three cases the default is "free_interface", and crack faces keep their mass: without contact
@@ -443,9 +447,12 @@ def estimate_unreduced_memory(structure: Structure, n_harmonics: int) -> float:
 def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
     """Estimate the peak memory of :func:`run_up_structure` [byte] (collective).
 
-    The basis has modes of 3 speeds. The peak is the larger of two: the basis, with the factor and
-    modes at a further speed; or three bases, while a basis is extended (old, addition, union). The
-    memory held already is included. ``n_modes`` is the number of modes at each speed.
+    A run-up uses a common basis of the modes at 3 rotor speeds. The peak is the larger of two:
+
+    - a basis, with the factor and the modes at a further speed;
+    - three bases, while a basis is extended: old basis, addition and union.
+
+    The memory held already is included. ``n_modes`` is the number of modes at each speed.
     """
     basis_bytes = 8.0 * structure.n_dofs * N_BASIS_SPEEDS * (n_modes + structure.n_pairs + 1)
     bytes_of_modes = (
@@ -461,8 +468,9 @@ def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
 def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
     """Estimate the memory to find ``n_modes`` modes [byte] (collective).
 
-    The estimate is the larger of two: the Krylov vectors of the eigensolver; or a second factor, to
-    count modes, with a matrix and its copy. The existing factor of the stiffness is not included.
+    The estimate is the larger of two: the Krylov vectors of the eigensolver; or the memory to count
+    modes, a second factor with a matrix and its copy. The existing factor of the stiffness is not
+    included.
     """
     krylov_bytes = 8.0 * structure.n_dofs * n_krylov_vectors(n_modes)
     return max(

@@ -116,8 +116,9 @@ class ResonanceUnderLoad:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Frequency or speed [rad/s] as "resonance", and amplitude [m] as "vibration".
+        """Frequency or speed at resonance, and amplitude, by name.
 
+        "resonance" is the load frequency or rotor speed [rad/s], "vibration" the amplitude [m].
         Empty if the amplitude is unknown.
         """
         return {} if self.unknown else {"resonance": self.value, "vibration": self.amplitude}
@@ -165,14 +166,16 @@ FACTOR_AND_UNIT_BY_CURVE_PARAMETER = {
 def curve_parameter_at_crossing(
     scene: Scene, parameter: str, omega: float, slope: float, harmonic: float = 1.0
 ) -> float:
-    """Return a curve's parameter at which a harmonic meets a natural frequency.
+    """Return a curve's parameter at which a load harmonic meets a natural frequency.
 
     Parameters
     ----------
+    scene : Scene
+        Scene with the engine order, if any, and the rotor speed.
     parameter : "omega", "frequency", "speed" or "rpm"
         Parameter of the curve.
     omega : float [rad/s]
-        Natural frequency.
+        Natural frequency at the scene's rotor speed.
     slope : float
         S = d(omega^2) / d(W^2) over the rotor speed W.
     harmonic : float
@@ -234,8 +237,9 @@ def find_study_resonance(
 def _make_search_structure(study: Study, crossing_speed: float | None) -> Structure:
     """Reduce a study's structure to few modes, to search a resonance (collective).
 
-    Without an engine order, a disk keeps the modes that the scene requests. So does a small
-    structure that the scene does not reduce: it keeps all modes.
+    At most 10 modes are kept (:data:`N_RESONANCE_SEARCH_MODES`). There are two exceptions without
+    an engine order. A disk keeps the modes that the scene requests. A small structure that the
+    scene does not reduce keeps all modes.
 
     Parameters
     ----------

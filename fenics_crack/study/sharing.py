@@ -46,9 +46,10 @@ LAST_STRUCTURE_OR_EMPTY_LIST: list[SharedStructure] = []
 
 
 def make_empty_coarser_structure_list(structure: Structure) -> list[SharedStructure]:
-    """Return an empty list, to be filled with the structure on a coarser mesh.
+    """Return an empty list, in which a structure keeps its structure on a coarser mesh.
 
-    :meth:`Structure.compute_once` calls this function and keeps the list with the finer structure.
+    :meth:`Structure.compute_once` calls this function once, and returns the same list later. The
+    coarser structure is put into the list when it is made.
     """
     return []
 
@@ -160,8 +161,8 @@ def _can_reuse(
     comm : MPI.Comm
         Ranks that shall share the structure.
     needs_equal_dependencies : bool
-        Loads, clearances and damping must be the same, too. So it is with rotation, a disk or given
-        matrices.
+        True if loads, clearances and damping must be the same, too. This is needed with rotation, a
+        disk or given matrices.
     """
     has_mesh = getattr(shared_structure.structure.nodes, "mesh_dofs", None) is not None
     has_same_ranks = MPI.Comm.Compare(shared_structure.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)

@@ -106,8 +106,8 @@ class StructureFile:
     def note_structure_for_writing(self, shared_structure: SharedStructure, scene: Scene) -> None:
         """Note a structure, for :meth:`write_noted_structure` to write.
 
-        It replaces the structure noted before, if both have the same mesh. If the meshes differ,
-        nothing happens.
+        At most one structure is noted. A later structure with the same mesh replaces it; a
+        structure with another mesh is ignored. ``scene`` is the scene of the structure.
         """
         if (
             not self._noted_structures_and_scenes

@@ -46,7 +46,7 @@ class SolvedStudy(Study):
 
 
 def _make_solved_study(study: Study, solution: PeriodicSolution) -> SolvedStudy:
-    """Return a study together with its periodic solution."""
+    """Return the solved study, with all data of ``study`` and its periodic solution."""
     return SolvedStudy(study.scene, study.structure, study.contact, study.watched, solution)
 
 
@@ -55,8 +55,9 @@ def solve_study(
 ) -> SolvedStudy:
     """Solve a study for its steady vibration, reduced as its scene says (collective).
 
-    If the scene gives a tolerance but no number of modes, the number is chosen. Stability is added
-    if the solution converges and the structure is small.
+    If the scene gives a tolerance but no number of modes, the number is chosen. If the solution
+    converges and the structure is small, its stability is computed, too. It is left out if it would
+    take long, as with a smooth contact law, or if the scene requests no error.
 
     Parameters
     ----------
@@ -131,8 +132,9 @@ def required_contact_law(study: Study) -> ContactLaw:
 def with_fixed_slip_directions(study: Study, omega: float) -> Study:
     """Return a study with friction along a fixed line at each pair (collective).
 
-    Only a solid with friction changes. A pair's line is the direction in which the pair slides if
-    there is no friction, at the load frequency ``omega`` [rad/s].
+    Friction in a plane then becomes friction along a line, which is faster to solve. Only a solid
+    with friction changes. A pair's line is the direction in which the pair slides if there is no
+    friction, at the load frequency ``omega`` [rad/s].
     """
     if study.contact is None:
         return study

@@ -166,7 +166,10 @@ def identify(
 
 
 def _scene_with_unknowns(scene: Scene, unknown: Mapping[str, Any] | None) -> Scene:
-    """Return a scene with the unknowns in its table ``[identify]``; None keeps the scene's own.
+    """Return a scene with the given unknowns in its table ``[identify]``.
+
+    ``unknown`` has the values to solve, by key of the scene. If it is None, the unknowns in the
+    scene's own table stay.
 
     Raises
     ------
@@ -315,12 +318,15 @@ def list_measurement_shortcoming_remarks(
 ) -> tuple[str, ...]:
     """List remarks on what these measurements cannot determine, as sentences.
 
-    Only the kinds of measurements matter, not the measured values. The first remark follows if all
-    are natural frequencies: they are the same for a crack from the left and from the right edge. It
-    needs a scene that gives the edge, not as an unknown. The second remark follows for mesh files:
-    the intervals do not include the mesh error. The third remark follows for ratios and
-    displacements, if the motion's shape depends on the load's size. The scene must then have the
-    real load.
+    Only the kinds of measurements matter, not the measured values. There are three possible
+    remarks:
+
+    - The edge with the crack cannot be found. This remark follows if all measurements are natural
+      frequencies, and ``crack.edge`` is "left" or "right" and no unknown. Cracks from both edges
+      have the same natural frequencies.
+    - The intervals do not include the mesh error. This remark follows for mesh files.
+    - The scene must have the real load. This remark follows for ratios and displacements, if the
+      shape of the motion depends on the size of the load.
     """
     identify_table = scene.given("identify")
     crack, single_measurements = scene.crack, measurements.rows
@@ -357,10 +363,11 @@ def _yield_excessive_vibration_remarks(
 ) -> Iterator[str]:
     """Yield remarks on cracks that vibrate much more than all solved cracks.
 
-    A remark is a sentence about a crack between solved cracks, near a resonance. It names the load
-    and the vibration. The vibration exceeds twice the largest of all solved cracks
-    (:attr:`Options.max_vibration_ratio_to_solved_cracks`). The crack may then open and close unlike
-    every solved crack. If the motion is proportional to the load, there is no remark.
+    Such a crack lies between solved cracks, near a resonance. It may open and close in another way
+    than all solved cracks, so that interpolation is wrong. A remark is a sentence with the load and
+    the vibration. It follows if the vibration exceeds twice the largest of all solved cracks
+    (:attr:`Options.max_vibration_ratio_to_solved_cracks`). If the motion is proportional to the
+    load, there is no remark.
     """
     if has_load_independent_motion_shape(forward_models.scene):
         return
@@ -396,16 +403,22 @@ def _find_most_interpolated_measurement_or_none(
 ) -> tuple[str, np.ndarray, np.ndarray] | None:
     """Find the measurement with the largest fraction of variance due to interpolation.
 
-    The fraction is a mean over the cracks that explain the measurements. The posterior does not
-    weight this mean, since it is small at cracks with a large interpolation error.
+    Used to decide along which unknown the grid becomes denser. The fraction is the variance by
+    interpolation over the variance of measurement plus prediction. It is averaged over the cracks
+    that explain the measurements. All these cracks have equal weights: posterior weights would be
+    too small at cracks with a large interpolation error.
 
     Returns
     -------
-    tuple or None
-        Name of the measurement; its fractions of variance due to interpolation along each unknown
-        (d,); unknowns of the cracks that explain the measurements (m, d). None if the sum of
-        fractions is at most :attr:`Options.allowed_interpolation_share` (0.2), or no crack explains
-        the measurements.
+    measurement_name : str
+        Name of the measurement.
+    interpolation_shares : (d,)
+        Fraction of its variance due to interpolation along each of d unknowns.
+    explaining_points : (m, d)
+        Unknowns of the m cracks that explain the measurements.
+
+    None is returned instead if no crack explains the measurements. It is also returned if the d
+    fractions sum to at most 0.2 (:attr:`Options.allowed_interpolation_share`).
     """
     points_and_interpolation_shares = [
         branch.find_explanations_and_interpolation_shares()

@@ -64,7 +64,9 @@ from fenics_crack.sweep.result import SweepResult
 
 @dataclass(frozen=True)
 class UnknownGrid:
-    """Grid of solved values of d unknowns, between their bounds.
+    """Grid of the values of d unknowns at which cases are solved.
+
+    An unknown is a key of the scene, such as the crack length, that identification shall find.
 
     Attributes
     ----------
@@ -207,9 +209,10 @@ class Interpolation:
     def list_weighted_node_errors(self, x: np.ndarray) -> np.ndarray:
         """Return independent interpolation errors of q quantities: (m, k, q).
 
-        ``x`` (m, d) has m values of the unknowns. The k errors of a quantity come from grid nodes
-        around each value: one error per node and axis, and one per node for failed cases. The sum
-        of the k squares is the quantity's variance.
+        The variance at a point is a weighted mean of the variances at grid nodes around the point.
+        Each node adds one error for each axis, and one for failed cases, if any: together k errors.
+        The sum of the k squares is the variance of the quantity. ``x`` (m, d) are m points, each
+        with values of the d unknowns.
         """
         errors_along_axes = self.list_weighted_node_errors_along_axes(x)
         return (
@@ -219,10 +222,17 @@ class Interpolation:
         )
 
     def list_weighted_node_errors_along_axes(self, x: np.ndarray) -> list[np.ndarray]:
-        """Return the errors of :meth:`list_weighted_node_errors`, an array (m, k, q) per axis.
+        """Return independent interpolation errors of q quantities along each axis.
 
-        ``x`` (m, d) has m values of the unknowns. If a case failed, a last array has the errors at
-        failed cases. Without unknowns the list is empty.
+        The errors are those of :meth:`list_weighted_node_errors`, separated by their cause. ``x``
+        (m, d) are m points, each with values of the d unknowns.
+
+        Returns
+        -------
+        list of (m, k, q)
+            An array for each axis, with the errors from k grid nodes around each point. If a case
+            failed, a last array has the errors due to failed cases. Without unknowns the list is
+            empty.
         """
         if not self.unknown_grid.axes:
             return []
@@ -344,17 +354,19 @@ MESH_FILE_AXIS_KEY = "mesh.file"
 
 
 class SweptLoads:
-    """Loads at which the forward model is solved, as the last sweep axis.
+    """Loads at which the cases of the forward model are solved.
 
     If the load has an engine order, each load frequency belongs to a rotor speed. The first load
-    then has the scene's rotor speed. Natural frequencies without a stated speed are taken there.
+    then has the scene's rotor speed. A natural frequency that was measured without a stated speed
+    is taken from the first load.
 
     Attributes
     ----------
     frequencies : tuple of float
         Load frequencies [Hz].
     sweep_axis : Axis
-        Axis of a sweep over load frequencies [Hz]; with an engine order, over rotor speeds [rpm].
+        Last axis of the sweep over all cases: load frequencies [Hz]; with an engine order, rotor
+        speeds [rpm].
     """
 
     def __init__(self, scene: Scene, frequencies: Sequence[float]) -> None:
@@ -404,9 +416,10 @@ class SweptLoads:
 class SolvedCases:
     """Solved cases of a sweep over unknowns and loads.
 
-    An unknown with text values, as crack.edge, is fixed at one value, as "left". The n grid nodes
-    are all combinations of the numerical unknowns' values. ``uncracked_cases`` are the same cases
-    without the crack, or None.
+    Some unknowns have text values, for example crack.edge with "left" and "right". The cases belong
+    to one chosen value of each. The n grid nodes are all combinations of the values of the
+    remaining unknowns, which are numbers. ``uncracked_cases`` are the same cases without the crack,
+    or None.
     """
 
     def __init__(
@@ -426,8 +439,8 @@ class SolvedCases:
         swept_loads : SweptLoads
             Loads of the sweep.
         mesh_number_axes : sequence of Axis
-            Numerical unknowns, as crack length, that distinguish the files of
-            ``[identify.meshes]``; they replace the sweep's axis over these files. Empty without
+            Used with ``[identify.meshes]``: unknowns whose numbers belong to the mesh files, such
+            as the crack length in each file. They replace the axis over the files. Empty without
             mesh files.
         text_value_by_unknown_key : dict
             Chosen text value by key of the unknown.
@@ -454,7 +467,10 @@ class SolvedCases:
         self.unknown_keys = tuple(axis.key for axis in number_axes)
 
     def get_column(self, column_name: str) -> np.ndarray:
-        """Return a column of the sweep at all grid nodes and loads: (n, n_loads)."""
+        """Return a result column of the sweep at all grid nodes and loads: (n, n_loads).
+
+        ``column_name`` is the name in the sweep's table, such as "harmonics".
+        """
         column = self.sweep_result[column_name][self.word_selection_index]
         return np.asarray(column.reshape(-1, column.shape[-1]), dtype=float)
 
@@ -491,9 +507,17 @@ class SolvedCases:
     ) -> np.ndarray:
         """Return complex amplitudes of a harmonic at all grid nodes: (n,) [m].
 
-        An amplitude a - i b means a cos + b sin. Cases with fewer harmonics have 0, failed cases
-        nan. ``measured_point_name`` is as "tip.ux", or "" for the load's point; the load frequency
-        is in Hz.
+        An amplitude a - i b stands for the motion a cos + b sin. It is 0 in cases with fewer
+        harmonics, and nan in failed cases.
+
+        Parameters
+        ----------
+        point_name : str
+            Point and direction, such as "tip.ux"; "" for the load's point.
+        load_frequency : float [Hz]
+            Load frequency.
+        harmonic_order : int
+            Order of the harmonic, from 1.
         """
         column_prefix = f"{point_name}." if point_name else ""
         cosine_amplitudes, sine_amplitudes = (
@@ -546,17 +570,17 @@ class SolvedCases:
 
     @cached_property
     def crack_split_root_and_frequencies(self) -> np.ndarray:
-        """Return sqrt(s) and natural frequencies, for the poles of harmonics.
+        """Return sqrt(s) and natural frequencies: (n, n_loads, 1 + 2 modes).
 
-        The array (n, n_loads, 1 + 2 modes) is for n grid nodes, all combinations of the unknowns.
-        Column 0 is sqrt(s). Then come the bilinear frequency of each mode, and the uncracked
-        frequency of each mode [Hz]; nan if missing. The split s measures how much the crack changes
-        the stiffness:
+        They are used to find the poles of harmonics, which are removed before interpolation. The
+        split s measures how much the crack changes the stiffness:
 
             s = sum_j (w_b,j - w_o,j) / w_b,j (w_b,1 / w_b,j)^2.
 
-        Mode j has the frequency w_b,j with the crack bonded and w_o,j with the crack open. sqrt(s)
-        is replaced by 1 if s is below 1e-9, as without a crack.
+        Mode j has the frequency w_b,j with the crack bonded and w_o,j with the crack open. The
+        first two dimensions are the n grid nodes and the loads. The last dimension has sqrt(s),
+        then the bilinear frequencies of all modes, then their uncracked frequencies [Hz]. Missing
+        frequencies are nan. If s is below 1e-9, as without a crack, 1 replaces sqrt(s).
         """
         bonded_frequencies, open_frequencies, bilinear_frequencies, uncracked_frequencies = (
             np.stack(
@@ -695,8 +719,11 @@ def find_frequency_ratios_and_pole_factors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return frequency ratios r and pole factors, for each mode: (m, f, modes) each.
 
-    For harmonic k at the load frequency W, the ratio to mode j is r = k W / w_j. The pole factor is
-    1 - r^2 + 2 i z r, with the damping ratio z. w_j is the bilinear frequency of mode j. For
+    A harmonic is large where its frequency meets a natural frequency: it has a pole. The product of
+    harmonic and pole factors has no poles. So it can be interpolated.
+
+    For harmonic k at the load frequency W, the ratio to mode j is r = k W / w_j, with the bilinear
+    frequency w_j of the mode. The pole factor is 1 - r^2 + 2 i z r, with the damping ratio z. For
     natural frequencies and missing modes, r is 0 and the factor 1.
 
     Parameters
@@ -725,12 +752,22 @@ def find_frequency_ratios_and_pole_factors(
 def compute_log_factors_by_first_harmonic(
     first_harmonic_logs: np.ndarray, features: Sequence[Feature]
 ) -> np.ndarray:
-    """Return logarithms of the factors by which first harmonics change higher harmonics.
+    """Return logarithms of factors on higher harmonics from those on first harmonics.
 
-    The first harmonic drives the harmonics k > 1. A factor p on the first harmonic becomes the
-    factor abs(p) exp(i k arg p) on harmonic k. ``first_harmonic_logs`` (m, f, ...) has ln p for
-    each of f features. The result has the same shape; first harmonics and natural frequencies get
-    0.
+    The first harmonic drives the harmonics k > 1. If the first harmonic changes by a complex factor
+    p, harmonic k changes by the factor abs(p) exp(i k arg p).
+
+    Parameters
+    ----------
+    first_harmonic_logs : (m, f, ...) complex
+        ln p for each of f features: the factor on the first harmonic at the same point and load.
+    features : sequence of Feature
+        f natural frequencies and harmonics.
+
+    Returns
+    -------
+    (m, f, ...) complex
+        Logarithm of the factor on each feature; 0 for first harmonics and natural frequencies.
     """
     higher_harmonic_order_or_zero = np.array(
         [feature.harmonic_order if feature.harmonic_order > 1 else 0 for feature in features]
@@ -747,8 +784,10 @@ def compute_log_factors_by_first_harmonic(
 def replace_by_driving_first_harmonics(features: Sequence[Feature]) -> list[Feature]:
     """Replace each higher harmonic by the first harmonic at the same point and load.
 
-    Natural frequencies and first harmonics get the harmonic order 0. For this order
-    :func:`find_frequency_ratios_and_pole_factors` returns the ratio 0 and the factor 1.
+    The result has the pole factors of the first harmonics
+    (:func:`find_frequency_ratios_and_pole_factors`). Natural frequencies and first harmonics are
+    driven by no first harmonic. They are returned with the harmonic order 0, which gives the pole
+    factor 1.
     """
     return [
         replace(feature, harmonic_order=int(feature.harmonic_order > 1)) for feature in features
@@ -763,10 +802,14 @@ def compute_smoothing_factors(
 ) -> np.ndarray:
     """Return factors that make features smooth functions of the unknowns: (m, f).
 
-    Features are natural frequencies and harmonics. The product of feature and factor is
-    interpolated. The factor of a harmonic removes its poles. For a natural frequency with the
-    crack, the interpolated quantity is the change of ln(frequency) by the crack. Its factor is 1
-    over the relative crack size. For a natural frequency without the crack, the factor is 1.
+    A feature is a natural frequency or a harmonic. Feature times factor is smooth, and is
+    interpolated instead of the feature:
+
+    - A harmonic's factor removes its poles (:func:`find_frequency_ratios_and_pole_factors`) and its
+      growth with a short crack.
+    - For a natural frequency with the crack, the feature is ln(frequency with the crack / frequency
+      without). Its factor is 1 / relative crack size.
+    - For a natural frequency without the crack, the factor is 1.
 
     Parameters
     ----------

@@ -228,10 +228,14 @@ class Measurement:
     def get_load_frequency(self, scene: Scene) -> float:
         """Return the load frequency [Hz] of the case that predicts this measurement.
 
-        A quantity under a load has its own load frequency. A natural frequency at a stated rotor
-        speed has the engine order's frequency at this speed. At the scene's speed, or without a
-        stated speed, a natural frequency has 0. At rest, it has a thousandth of the scene's load
-        frequency.
+        A quantity under a load has its own load frequency. A natural frequency needs a case at its
+        rotor speed:
+
+        - At another speed than the scene's, the load frequency is engine order times this speed.
+        - At the scene's speed, or without a stated speed, 0 is returned. It stands for the scene's
+          own case.
+        - At rest, a thousandth of the scene's load frequency is returned, since a case cannot have
+          the load frequency 0.
         """
         if not self.is_natural_frequency:
             return float(self.frequency)

@@ -37,6 +37,9 @@ from fenics_crack.study.key_figures import is_response_proportional_to_load
 class ForwardModel:
     """Forward model: solved cases on a grid of the unknowns, and the plate's priors.
 
+    It predicts measurements from the unknowns. The priors are the standard deviations in
+    ``[identify]`` for uncertain properties of the plate.
+
     Parameters
     ----------
     scene : Scene
@@ -44,10 +47,11 @@ class ForwardModel:
     uncracked_plate : UncrackedPlate
         Plate without its crack.
     coarse_finer_halfway_cases : three SolvedCases or None
-        Solved cases on the grid of the unknowns, on a finer mesh, and halfway between the values of
-        the grid. The last two may be None.
+        In this order: all cases, on the coarse mesh; a few cases on a finer mesh, which give the
+        mesh error; a few cases halfway between grid values, which give the interpolation error. The
+        last two may be None.
     text_value_by_unknown_key : dict of str to object
-        Values of the unknowns with text values, such as "left" for crack.edge.
+        Chosen value by key of each unknown with text values, such as "left" for crack.edge.
     """
 
     def __init__(
@@ -108,8 +112,10 @@ class ForwardModel:
     def compute_crack_geometry_deviations(self, x: np.ndarray) -> np.ndarray:
         """Return standard deviations of a real crack about its equivalent crack: (m, d).
 
-        The equivalent crack is straight and sharp, and has the same effect on vibration. ``x`` (m,
-        d) has m values of the unknowns.
+        The equivalent crack is straight and sharp, and has the same effect on vibration. The model
+        predicts vibration of equivalent cracks. The deviations are added to the uncertainty of the
+        unknowns. ``x`` (m, d) are m points, each with values of the d unknowns; the result has
+        their units.
         """
         return compute_crack_geometry_deviations(x, self.unknown_keys, self.scene)
 
@@ -370,16 +376,17 @@ class FeaturePredictor:
     ) -> np.ndarray:
         """Return the factors that make f features smooth: (m, f).
 
-        Results on the finer mesh get the same factors as on the coarse mesh
-        (:func:`compute_smoothing_factors`).
+        The function :func:`compute_smoothing_factors` is called with the damping and crack sizes of
+        this model.
 
         Parameters
         ----------
         x : (m, d)
-            m values of the unknowns.
+            m points, each with values of the d unknowns.
         crack_split_root_and_frequencies : (m, f, 1 + 2 modes)
-            :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature, on
-            the coarse mesh.
+            :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature. They
+            are from the coarse mesh, also to smooth results on the finer mesh: both meshes then
+            have the same factors.
         """
         return compute_smoothing_factors(
             self.features,
@@ -407,19 +414,27 @@ class FeaturePredictor:
     def _list_mesh_and_contact_errors(
         self, smooth_features: np.ndarray, remaining_mesh_errors: np.ndarray
     ) -> list[np.ndarray]:
-        """List independent errors of smooth forms by mesh and contact: (m, 2f, r) each.
+        """List independent errors of smooth forms by mesh and contact.
 
-        Each of the r columns is an independent error, with its effect on all smooth forms of f
-        features (:class:`FeaturePrediction`). Half of the mesh variance is common to all features.
-        The second half is common to the features of a group (:attr:`Feature.error_group_key`). Half
-        of the contact variance is common to a group, the second half belongs to a single harmonic.
+        Half of the mesh variance is an error common to all features. The second half is common to
+        the features of a group (:attr:`Feature.error_group_key`). The contact model causes a
+        relative error of harmonic k, with the standard deviation (k - 1) times
+        ``identify.harmonic_deviation``. Half of its variance is common to a group, the second half
+        belongs to a single harmonic.
 
         Parameters
         ----------
         smooth_features : (m, 2f)
-            Smooth forms; real and imaginary parts alternate.
+            Smooth forms of f features (:class:`FeaturePrediction`) at m values of the unknowns.
+            Real and imaginary parts alternate.
         remaining_mesh_errors : (m, 2f)
             Mesh errors of the smooth forms after the mesh correction.
+
+        Returns
+        -------
+        list of (m, 2f, r)
+            Each of the r columns is an independent error, with one standard deviation of each
+            smooth form. r differs between the arrays.
         """
         root_of_half = np.sqrt(0.5)
         error_blocks = [
@@ -452,14 +467,17 @@ class FeaturePredictor:
 def _split_into_common_and_single_errors(errors: np.ndarray) -> list[np.ndarray]:
     """Split the variance of errors into a correlated half and an independent half.
 
-    ``errors`` (m, k, 2f) has k independent errors of 2f smooth forms (:class:`FeaturePrediction`).
+    ``errors`` (m, k, 2f) has k independent errors of 2f smooth forms (:class:`FeaturePrediction`),
+    at m values of the unknowns.
 
     Returns
     -------
-    list of (m, 2f, k) and (m, 2f, 2f)
-        Errors of the 2f smooth forms in columns. In the first array, a column is an error that
-        changes all smooth forms together. In the second array, a column changes one smooth form
-        alone.
+    common_errors : (m, 2f, k)
+        Correlated half. Each of the k columns changes all smooth forms together.
+    single_errors : (m, 2f, 2f)
+        Independent half. Each column changes one smooth form alone.
+
+    Both are returned in a list.
     """
     return [
         np.sqrt(0.5) * errors.transpose(0, 2, 1),

@@ -84,18 +84,20 @@ class UncrackedPlate:
     properties are material, thickness, clamp, model error and stiffening by rotation. Each has a
     prior, a normal distribution with the standard deviation in ``[identify]``.
 
-    The stiffness matrices are projected on r motions: the modes at rest and at the scene's rotor
-    speed, made orthogonal, with modal mass 1.
+    To be fast, modes are computed in the space of r motions: the modes at rest and at the scene's
+    rotor speed, made orthogonal, with modal mass 1.
 
     Attributes
     ----------
     rotor_speed : float [rad/s]
         Rotor speed of the scene.
     elastic_and_rotation_stiffness : (2, r, r) [1/s^2]
-        Projected stiffness at rest; then the projected addition by rotation at the rotor speed.
+        Two matrices, projected on the r motions: stiffness at rest, and the additional stiffness by
+        rotation at the scene's rotor speed.
     clamp_reactions : (r, d)
-        Forces and moments at the clamp in each motion. Forces come first, multiplied
-        by the clamp's radius of gyration. d = 0 if the clamped nodes are unknown.
+        d forces and moments at the clamp in each motion. Forces come first, multiplied by the
+        clamp's radius of gyration to get the unit of moments. d = 0 if the clamped nodes are
+        unknown.
     n_reaction_forces : int
         Number of forces among the d reactions.
     identify_table : Identify
@@ -194,12 +196,16 @@ class UncrackedPlate:
         )
 
     def compute_clamp_sensitivities(self, speed_ratio: float) -> np.ndarray:
-        """Return scaled reductions of n natural frequencies by a soft clamp: (n, 2).
+        """Return relative reductions of n natural frequencies by a soft clamp: (n, 2).
 
-        The first column is for a clamp that turns, the second for a clamp that moves. Both have the
-        same scale. With this scale, the first row at the scene's rotor speed has the root sum
-        square 1. If the clamped nodes are unknown, the first column has the elastic fractions e_j,
-        the second 0. ``speed_ratio`` is the rotor speed over the scene's.
+        Column 0 is for a clamp that turns under its moments, column 1 for a clamp that moves under
+        its forces. A reduction is proportional to the squared reactions at the clamp, divided by
+        the squared frequency. All entries are scaled by the same number: at the scene's rotor
+        speed, the root sum square of both entries for mode 1 is 1.
+
+        If the clamped nodes are unknown, column 0 has the elastic fractions
+        (:meth:`compute_elastic_fractions`), column 1 is 0. ``speed_ratio`` is the rotor speed over
+        the scene's.
         """
         if not self.clamp_reactions.shape[1]:
             return np.outer(self.compute_elastic_fractions(speed_ratio), [1.0, 0.0])
@@ -251,11 +257,12 @@ class UncrackedPlate:
     ) -> np.ndarray:
         """Return relative changes of features by uncertain properties: (m, f, s + n + 1).
 
-        Features are natural frequencies and harmonics. Each column is for a change by one prior
-        standard deviation. First come the s columns of ``mode_sensitivities``. Then follow n
-        columns for the error of the crack's effect on each mode. The last column is damping. A
-        natural frequency with the crack is an exception: for it, the feature is the change of
-        ln(frequency) by the crack.
+        Each column is the change by one prior standard deviation. The s columns of
+        ``mode_sensitivities`` come first. Then follow n columns: in column j, the effect of the
+        crack on mode j is larger than modelled. The last column is for larger damping.
+
+        For a natural frequency with the crack, the feature here is ln(frequency with the crack /
+        frequency without). Uncertain properties of the uncracked plate do not change this ratio.
 
         Parameters
         ----------
@@ -264,7 +271,8 @@ class UncrackedPlate:
         damping_ratio_of_points : (m, 1)
             Damping ratios at m values of the unknowns.
         crack_split_root_and_frequencies : (m, f, 1 + 2 n)
-            :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature.
+            :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature, with n
+            modes.
         mode_sensitivities : (f, n, s)
             :meth:`compute_prior_sensitivities` at the rotor speed of each feature.
         """
@@ -345,17 +353,18 @@ class UncrackedPlate:
     def compute_clamp_and_temperature_sensitivities(
         self, speed_ratio: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return relative changes of natural frequencies by changes of clamp and temperature.
+        """Return relative frequency changes by changed clamp and temperature.
 
-        The changes happen between the baseline, measured before the crack, and later measurements.
-        ``speed_ratio`` is the rotor speed over the scene's.
+        Clamp and temperature may change between the baseline and later measurements. The baseline
+        are natural frequencies measured before the crack. ``speed_ratio`` is the rotor speed over
+        the scene's.
 
         Returns
         -------
         clamp_sensitivities : (n, 3 + n)
-            Relative changes of n frequencies, each column by one standard deviation. The columns
-            are a turning clamp, a moving clamp, the stiffening of all modes by rotation, and a
-            change of each mode alone.
+            Relative changes of n natural frequencies, each column by one prior standard deviation.
+            Columns 0 to 2: a clamp that turns, a clamp that moves, and stiffening by rotation. Then
+            follows a column for each mode, in which this frequency changes alone.
         temperature_sensitivities : (n, 1 + n) [1/K]
             Column 0: relative change of each frequency by 1 K. Column j: standard deviation of this
             change for mode j, 0 for other modes. It comes from the uncertain stiffening by
@@ -489,26 +498,28 @@ def _guess_frequency_unit_or_empty(frequency_ratio: float) -> str:
 
 
 class BaselineChanges:
-    """Changes of the plate since the baseline, the measurements without the crack.
+    """Possible changes of natural frequencies between the baseline and now.
 
-    The attributes hold changes of q predictions; n is the number of modes of the plate. Only
-    natural frequencies of these modes change; all remaining entries are 0 (factors 1).
+    The baseline are natural frequencies measured before the crack. Since then, clamp and
+    temperature of the plate may have changed. Each array has a row for each of q measurements. Only
+    natural frequencies of the n modes of the plate change. All remaining rows are 0 (factors 1).
 
     Attributes
     ----------
     temperature_frequency_factors : (q,)
-        Factor on each prediction, from its stated temperature relative to the present temperature.
+        Factor on each prediction for its stated temperature. It is 1 at the present temperature, or
+        if no temperature is stated.
     clamp_frequency_changes : (q, 3 + n)
-        Relative changes of baseline frequencies, each column by one standard deviation
-        (:meth:`UncrackedPlate.compute_clamp_and_temperature_sensitivities`). The columns are a
-        turning clamp, a moving clamp, the stiffening by rotation, and each mode alone.
+        Relative changes of baseline frequencies by the clamp, each column by one standard
+        deviation. The columns are those of
+        :meth:`UncrackedPlate.compute_clamp_and_temperature_sensitivities`.
     unknown_temperature_frequency_changes : (q, 1 + n)
         Column 0: relative changes by one standard deviation of an unknown temperature difference.
         Column j: uncertainty of this change for mode j, from the stiffening by rotation.
     temperature_error_frequency_changes : (q, 2 + n)
         Relative changes by errors of known temperature differences, each column by one standard
-        deviation. The columns are the temperature coefficient, the thermometer, and the stiffening
-        of each mode by rotation.
+        deviation. Columns 0 and 1: temperature coefficient and thermometer. Column 1 + j:
+        stiffening of mode j by rotation.
     """
 
     def __init__(
@@ -606,10 +617,11 @@ class BaselineChanges:
     def with_change_deviation_factors(
         self, clamp_factor: float, temperature_factor: float
     ) -> BaselineChanges:
-        """Return a copy with larger or smaller standard deviations of the changes.
+        """Return a copy in which changes since the baseline are more or less likely.
 
-        ``clamp_factor`` multiplies the frequency changes by the clamp. ``temperature_factor``
-        multiplies the frequency changes by an unknown temperature difference.
+        ``clamp_factor`` multiplies the prior standard deviation of the clamp's change.
+        ``temperature_factor`` multiplies the prior standard deviation of an unknown temperature
+        difference. The factor 0 excludes a change.
         """
         scaled_changes = copy(self)
         scaled_changes.clamp_frequency_changes = clamp_factor * self.clamp_frequency_changes
@@ -628,6 +640,8 @@ def _solve_plate_modes(scene: Scene) -> Modes:
 
 def _build_rigid_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
     """Build rigid motions of the plate about the middle of its clamped nodes.
+
+    Used to sum the reactions of the clamped nodes to forces and moments of the clamp.
 
     Returns
     -------
@@ -664,10 +678,10 @@ def _differentiate_harmonic_logs(
     damping_ratio_of_points: np.ndarray,
     crack_split_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return derivatives of ln(harmonic) through its poles: two arrays (m, f, modes).
+    """Return derivatives of ln(harmonic) by frequencies and damping of all modes.
 
-    The first array has the derivatives by ln w_j, with the natural frequency w_j of mode j. The
-    second has the share of mode j in the derivative by ln z, with the damping ratio z.
+    A harmonic is inversely proportional to its pole factors
+    (:func:`find_frequency_ratios_and_pole_factors`). These factors alone are differentiated.
 
     Parameters
     ----------
@@ -677,6 +691,13 @@ def _differentiate_harmonic_logs(
         Damping ratios z at m values of the unknowns.
     crack_split_root_and_frequencies : (m, f, 1 + 2 modes)
         :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature.
+
+    Returns
+    -------
+    frequency_slopes : (m, f, modes) complex
+        Derivatives by ln w_j, with the natural frequency w_j of mode j.
+    damping_slopes : (m, f, modes) complex
+        Part of mode j in the derivative by ln z. The sum over all modes is the derivative.
     """
     harmonic_to_mode_ratios, pole_factors = find_frequency_ratios_and_pole_factors(
         features, damping_ratio_of_points, crack_split_root_and_frequencies
@@ -692,9 +713,22 @@ def compute_crack_geometry_deviations(
 ) -> np.ndarray:
     """Return standard deviations of a real crack about its equivalent crack: (m, d).
 
-    The equivalent crack is straight and sharp, and has the same effect on vibration. ``x`` (m, d)
-    are m values of the d unknowns ``unknown_keys``. Crack size and crack height have a standard
-    deviation in the unit of the unknown; all remaining unknowns have 0.
+    The equivalent crack is straight and sharp, and has the same effect on vibration.
+
+    Parameters
+    ----------
+    x : (m, d)
+        m points, each with values of the d unknowns.
+    unknown_keys : sequence of str
+        Keys of the d unknowns, such as "crack.length".
+    scene : Scene
+        Scene with the table ``[identify]``.
+
+    Returns
+    -------
+    (m, d)
+        Standard deviations of crack size and crack height, in the unit of each unknown; 0 for all
+        remaining unknowns.
     """
     identify_table = scene.given("identify")
     crack_geometry_deviations = np.zeros_like(x)

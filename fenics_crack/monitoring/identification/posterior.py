@@ -75,11 +75,14 @@ class Likelihood:
     def compute_residuals(self, x: np.ndarray) -> np.ndarray:
         """Return residuals at m values x (m, d) of the unknowns: (m, q + 1).
 
+        The sum of their squares is -2 times the log-likelihood, up to a constant.
+
         Measured values y have standard deviations e; predictions are s. The covariance of
         measurements and predictions together is V = diag(e) C C^T diag(e), with a lower triangular
         C. The first q residuals are C^-1 ((y - s) / e); their squares sum to chi^2. The last
         residual is the root of log(det(C C^T) / p^2). Here p is the probability of the motion of
-        the crack faces. The motion with the smallest sum of squares is taken.
+        the crack faces: breathing, open or closed. At each value of the unknowns, the motion with
+        the smallest sum of squares is taken.
         """
         residual_rows = np.full((len(x), len(self.measurement_values) + 1), np.inf)
         for point_indices, state_residuals, _ in self._yield_residuals_per_face_state(x):
@@ -285,10 +288,10 @@ class Optimum:
 
 
 class PosteriorForTextValues:
-    """Posterior on a grid of the unknowns with numbers, for one choice of text values.
+    """Posterior on a grid of the numerical unknowns, for one choice of text values.
 
-    An unknown with text values is, for example, crack.edge, with "left" or "right". Each choice has
-    its own branch. The grid has more points around the best optima.
+    An unknown with text values is, for example, crack.edge, with "left" or "right". Each choice of
+    text values has an object of this class. The grid has more points around the best optima.
 
     Attributes
     ----------
@@ -299,8 +302,8 @@ class PosteriorForTextValues:
     axes : tuple of (n_i,)
         Grid values of each unknown.
     grid_log_likelihood : (n_1, ..., n_d)
-        Log-likelihood at the grid points, convolved with the distribution of a real crack about the
-        equivalent straight, sharp crack.
+        Log-likelihood of real cracks at the grid points. The likelihood of the equivalent straight,
+        sharp crack is convolved with the distribution of a real crack about it.
     prior_probabilities : (n_1, ..., n_d)
         Prior probability of each grid point; the sum is 1.
     """
@@ -400,16 +403,18 @@ class PosteriorForTextValues:
         return float(RegularGridInterpolator(self.axes, self.grid_log_likelihood)(bounded_x)[0])
 
     def find_explanations_and_interpolation_shares(self) -> tuple[np.ndarray, np.ndarray]:
-        """Find cracks that explain the measurements, and their errors by interpolation.
+        """Find cracks that explain the measurements, and fractions of variance by interpolation.
+
+        Candidates are the points of the first grid (:func:`build_first_grid`) and the optima.
 
         Returns
         -------
         explaining_points : (m, d)
-            Values of the unknowns that explain the measurements
-            (:meth:`Likelihood.explains_measurements`), from the first grid and the optima.
+            m cracks that explain the measurements (:meth:`Likelihood.explains_measurements`):
+            values of the d unknowns.
         interpolation_shares : (m, d, q)
-            Fraction of the variance of measurement plus prediction that comes from interpolation
-            along each of d unknowns, for each of q measurements.
+            For each of q measurements, a fraction of the variance of measurement plus prediction:
+            the part by interpolation along each of the d unknowns.
         """
         likelihood_function, explaining_point_arrays = (
             self.likelihood,
@@ -447,6 +452,9 @@ def _convolve_with_crack_deviations(
 ) -> np.ndarray:
     """Convolve the likelihood on a grid with normal distributions along the axes.
 
+    The likelihood belongs to an equivalent straight, sharp crack. The convolution turns it into the
+    likelihood of a real crack, with a distribution about the equivalent crack.
+
     Parameters
     ----------
     log_likelihood : (n_1, ..., n_d)
@@ -454,7 +462,7 @@ def _convolve_with_crack_deviations(
     axes : list of (n_i,)
         Grid values of each unknown.
     axis_weights : list of (n_i,)
-        Integration weights of these values.
+        Integration weights of the grid values.
     crack_deviations : (n, d)
         Standard deviations of the normal distributions at all n grid points
         (:func:`compute_crack_geometry_deviations`).
@@ -518,7 +526,10 @@ def _evaluate_log_likelihood(likelihood: Likelihood, points: np.ndarray) -> np.n
 
 
 def _split_points_into_batches(points: np.ndarray) -> list[np.ndarray]:
-    """Split points (n, d) into batches of at most ``points_per_batch`` of the settings."""
+    """Split points (n, d) into batches (..., d), to limit the memory.
+
+    A batch has at most :attr:`Options.points_per_batch` points.
+    """
     return np.array_split(points, -(-len(points) // IDENTIFICATION_SETTINGS.points_per_batch))
 
 
@@ -646,9 +657,10 @@ class Posterior:
 
     @cached_property
     def misfits_without_each_measurement(self) -> list[tuple[float, float]]:
-        """Return a pair (chi^2, p-value) for each measurement, without this measurement.
+        """Return (chi^2, p-value) with one measurement left out, for each measurement.
 
-        The unknowns stay at the maximum of the likelihood for all measurements.
+        Entry i leaves out measurement i. The unknowns are not fitted again: they stay at the
+        maximum of the likelihood for all measurements.
         """
         likelihood, x = self._likelihood_function_and_best_unknowns
         return [
@@ -659,12 +671,15 @@ class Posterior:
     def compute_misfit_with_change_factors(
         self, *, clamp_factor: float = 1.0, temperature_factor: float = 1.0
     ) -> tuple[float, float]:
-        """Return (chi^2, p-value) for larger or smaller changes of clamp and temperature.
+        """Return (chi^2, p-value) for more or less likely changes of clamp and temperature.
 
-        The changes happen between the measurements without the crack and later ones.
+        Used to decide if the measurements can be explained without such a change. The changes
+        happen between the measurements without the crack and later ones. The unknowns stay at the
+        maximum of the likelihood with both factors 1.
+
         ``clamp_factor`` multiplies the prior standard deviation of frequency changes by the clamp.
-        ``temperature_factor`` does so for an unknown temperature difference. The unknowns stay at
-        the maximum of the likelihood with both factors 1.
+        ``temperature_factor`` multiplies the prior standard deviation of an unknown temperature
+        difference. The factor 0 excludes a change.
         """
         likelihood, x = self._likelihood_function_and_best_unknowns
         predictor = likelihood.predictor.with_change_deviation_factors(
@@ -833,13 +848,24 @@ class Posterior:
     def compute_pair_mass_and_density(
         self, words_text: str, first_unknown_index: int, second_unknown_index: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return probability and density over two unknowns: (n_first, n_second) each.
+        """Return posterior probability and density over two unknowns.
 
-        ``words_text`` has the values of unknowns with text, joined with ", ", as "left" for
-        crack.edge. Both results hold for these values alone. ``first_unknown_index`` and
-        ``second_unknown_index`` are positions among the unknowns with numbers. The probability is
-        summed over all remaining unknowns. The density is the posterior probability over the prior
-        probability.
+        Used to draw the posterior over a pair of unknowns.
+
+        Parameters
+        ----------
+        words_text : str
+            Values of the unknowns with text, joined with ", ", such as "left" for crack.edge. The
+            results hold for this choice alone.
+        first_unknown_index, second_unknown_index : int
+            Positions of the two unknowns among the unknowns with numbers.
+
+        Returns
+        -------
+        mass : (n_first, n_second)
+            Posterior probability at each pair of grid values, summed over all remaining unknowns.
+        density : (n_first, n_second)
+            Posterior probability divided by prior probability.
         """
         pair_mass, pair_prior = (
             np.moveaxis(

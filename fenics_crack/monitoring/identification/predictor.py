@@ -51,8 +51,12 @@ class ProbeDisplacements:
 
     The forward model gives the harmonics U_k. The load's size A and phase psi are unknown. So is
     the constant c, due to probe angles and steady forces. For each value of the crack's unknowns,
-    A, psi and c are fitted to the measured displacements. The fitted u is the prediction. The
-    remaining uncertainty of A, psi and c adds errors to all predicted displacements together.
+    A, psi and c are fitted to the measured displacements. The fitted u is the prediction. After the
+    fit, A, psi and c remain uncertain. This uncertainty changes all predicted displacements
+    together.
+
+    Besides measurements there are candidates: possible further measurements, predicted to find out
+    which is worth making.
 
     Parameters
     ----------
@@ -62,7 +66,7 @@ class ProbeDisplacements:
     measured_rows : sequence of Measurement
         All measurements.
     candidate_rows : sequence of Measurement
-        Candidates for further measurements.
+        All candidates.
     """
 
     def __init__(
@@ -113,8 +117,9 @@ class ProbeDisplacements:
     def compute_random_phase_covariances(self, harmonic_orders: np.ndarray) -> np.ndarray:
         """Return covariances of n displacements by harmonics of random phase: (k, n, n).
 
-        Each of the k ``harmonic_orders`` gives a covariance. The amplitude of its harmonic has the
-        mean square 1.
+        Used for harmonics above the solved orders: their size is estimated, but not their phase.
+        Each of the k ``harmonic_orders`` gives a covariance, for a harmonic with the mean square
+        amplitude 1.
         """
         phase_differences = self._probe_phases[:, None] - self._probe_phases
         return np.asarray(0.5 * np.cos(np.multiply.outer(harmonic_orders, phase_differences)))
@@ -124,9 +129,9 @@ class ProbeDisplacements:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Fit the load's size A, its phase psi and a constant c to measured displacements.
 
-        ``model_harmonics`` (m, K) [m] has the harmonics U_k of the model, for m values of the
-        unknowns. n is the number of displacements in this group: measured displacements, then
-        candidates for further measurements.
+        ``model_harmonics`` (m, K) [m] has the harmonics U_k of the model, k = 1 to K, for m values
+        of the unknowns. This group has n displacements: measured displacements, then candidates for
+        further measurements.
 
         Returns
         -------
@@ -409,29 +414,30 @@ class MeasurementPredictor:
     ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPredictions]]:
         """Yield predictions for each possible motion of the crack faces.
 
-        Under a steady load, a preload or a clearance a crack may always stay open or closed. The
-        motion then has no higher harmonics. Between a solved crack that breathes and a neighbour
-        that does not, a crack may do either.
+        At loads away from a resonance, a crack breathes, or stays open or closed. It may stay open
+        or closed under a steady load, a preload or a clearance. The motion then has no higher
+        harmonics. The solved cracks show if a crack breathes. Between a solved crack that breathes
+        and a neighbour that does not, both motions are possible.
 
-        At a resonance, up to four motions are possible, with the same probability
-        (:func:`_list_possible_face_states`). The crack is open for half of the period, for an
-        unknown part of the period, always, or never. The unknown part may be common to all
-        resonances, or differ between resonances, with half of the probability each. If the motion
-        is proportional to the load, the crack is open for half of the period.
+        At a resonance, the crack may be open for half of the period, for an unknown part of the
+        period, always, or never (:func:`_list_possible_face_states`). All possible motions have the
+        same probability. An unknown part may be common to all resonances, or differ between
+        resonances, with half of this probability each. If the motion is proportional to the load,
+        the crack is open for half of the period.
 
         Parameters
         ----------
         x : (m, d)
-            Values of the unknowns.
+            m points, each with values of the d unknowns.
 
         Yields
         ------
         point_indices : (n,)
-            Indices of the values in x for which this motion is possible.
+            Indices of the points for which this motion is possible.
         probabilities : (n,)
-            Probability of the motion at these values.
-        MeasurementPredictions
-            Predictions at these values, with this motion.
+            Probability of the motion at these points.
+        predictions : MeasurementPredictions
+            Predictions at these points, with this motion.
         """
         non_breathing_probabilities = np.zeros((len(x), 0))
         if self._non_breathing_probability_interpolator is not None:
@@ -469,10 +475,11 @@ class MeasurementPredictor:
                     )
 
     def __call__(self, x: np.ndarray) -> MeasurementPredictions:
-        """Return predictions at m values x (m, d) of the unknowns.
+        """Return predictions at m points x (m, d), each with values of the d unknowns.
 
-        At resonances several motions of the crack faces may be possible. The predictions are for
-        the first motion in :func:`_list_possible_face_states`, with the largest standard deviation.
+        At resonances, several motions of the crack faces may be possible. The predictions are for
+        the first motion in :func:`_list_possible_face_states`: the motion with the largest standard
+        deviation.
         """
         return self._predict_measurements(
             self._feature_predictor(x), self._all_false_feature_mask, self._possible_face_states[0]
@@ -616,22 +623,22 @@ class MeasurementPredictor:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Estimate the mean squares of harmonics above the solved orders.
 
+        Displacements at probes contain all harmonics. The omitted harmonics are an error of the
+        prediction, with this variance.
+
         Harmonics of the contact force fall like 1 / k. They act on modes with natural frequencies
         w_j, damping ratio z and static compliances 1 / w_j^2, at the load frequency W:
 
             |U_k|^2 = c^2 sum_j |w_j^2 - (k W)^2 + 2 i z w_j k W|^-2 / k^2.
 
-        The constant c^2 is fitted as the mean over the upper half of the known harmonics. A test
-        had 150 cracks under loads of 120 to 1500 Hz, with 30 harmonics. With twelve known
-        harmonics, the root mean square of the omitted ones was 1.0 times this estimate. With six it
-        was 1.3 times.
+        The constant c^2 is fitted as the mean over the upper half of the known harmonics.
 
         Parameters
         ----------
         first_harmonic_feature : Feature
             First harmonic of a point.
         mean_squares : (m, K) [m^2]
-            Mean squares of the known harmonics of this point.
+            Mean squares of the K known harmonics of this point, at m values of the unknowns.
         damping_ratio_of_points : (m, 1)
             Damping ratios z.
         crack_split_root_and_frequencies : (m, 1, 1 + 2 modes)
@@ -639,9 +646,9 @@ class MeasurementPredictor:
 
         Returns
         -------
-        (k,)
-            Omitted orders.
-        (m, k) [m^2]
+        omitted_orders : (n,)
+            Orders of the n omitted harmonics.
+        omitted_mean_squares : (m, n) [m^2]
             Mean squares of the omitted harmonics.
         """
         coarse_mesh_cases, load_frequency = (
@@ -787,10 +794,10 @@ class MeasurementPredictor:
 def _find_loads_and_nodes_without_breathing(
     solved_cases: SolvedCases, features: Sequence[Feature], load_index_of_features: Sequence[int]
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Find the loads under which some solved cracks do not breathe.
+    """Find the loads under which some, but not all solved cracks breathe.
 
-    The faces of a crack that does not breathe stay open or closed, and its higher harmonics are
-    zero. A load is left out if all solved cracks breathe, or none does.
+    The faces of a crack that does not breathe stay open or closed. Its higher harmonics are zero.
+    Under such a load, it must be estimated which of the cracks between grid nodes breathe.
 
     Parameters
     ----------
@@ -799,15 +806,15 @@ def _find_loads_and_nodes_without_breathing(
     features : sequence of Feature
         f natural frequencies and harmonics.
     load_index_of_features : (f,)
-        Load of each feature.
+        Index of the load of each feature.
 
     Returns
     -------
     harmonic_masks : list of (f,) bool
         For each of the n loads, True for features that are higher harmonics under this load.
-    motionless_grids : (..., n)
-        For each of these loads, 1 at grid nodes with a crack that does not breathe, otherwise 0. An
-        empty array without loads.
+    motionless_grids : (n_1, ..., n_d, n)
+        For each of the n loads, 1 at grid nodes with a crack that does not breathe, otherwise 0.
+        The grid has d unknowns. An empty array without loads.
     """
     higher_harmonic_masks_by_load, non_breathing_grids_by_load = [], []
     is_higher_harmonic = np.array([feature.harmonic_order > 1 for feature in features], dtype=bool)

@@ -251,8 +251,8 @@ class Identification(Tabular):
     def advice(self) -> list[str]:
         """Return advice on the next measurements, as sentences.
 
-        Advised are missing frequencies of the plate before it had a crack, and the most informative
-        measurement.
+        If the plate's natural frequencies before the crack are missing, the first advice is to give
+        them. Another advice names the most informative further measurement.
         """
         branch, x = self._branch_and_unknowns_of_estimate
         return list_advice_texts(branch.likelihood, x, self.where_to_measure())
@@ -523,9 +523,13 @@ def _list_implausible_deviation_warnings(measurements: Measurements) -> list[str
 def _list_misfit_warnings(identification: Identification) -> list[str]:
     """List warnings about the fit of the measurements, as sentences.
 
-    A warning follows if the grid does not resolve the posterior. Another follows if no crack
-    explains the measurements; it names the worst measurement. The last follows if a plate without a
-    crack explains all but a single measurement; it names each measurement that could be this one.
+    There are three possible warnings:
+
+    - The grid does not resolve the posterior.
+    - No crack explains the measurements. The warning names the measurement without which chi^2 is
+      smallest.
+    - A plate without a crack explains all measurements but one. The warning names this measurement.
+      If several measurements are possible, it names all.
     """
     chi_square, p_value = identification.misfit_chi_square_and_p_value
     rows, warning_texts = identification.measurements.rows, []
@@ -620,11 +624,15 @@ def _describe_single_crack_condition_or_empty(identification: Identification) ->
 def _describe_unchanged_plate_condition_or_empty(identification: Identification) -> str:
     """Return the condition that clamp and temperature have not changed, as text.
 
-    The changes happen between the baseline, natural frequencies measured before the crack, and
-    later measurements. The text is returned if an unchanged plate without a crack does not explain
-    the measurements, but a changed plate does. The changes may have their prior standard
-    deviations. If these do not suffice, frequency changes by ``identify.clamp_deviation`` are
-    tried. Otherwise, and without a baseline, return "".
+    A changed clamp or temperature may look like a crack. The changes happen between the baseline,
+    natural frequencies measured before the crack, and later measurements. The text is returned in
+    two cases:
+
+    - A plate without a crack explains the measurements, but not without any change.
+    - A plate without a crack does not explain the measurements with the prior standard deviations
+      of the changes. It does so with frequency changes as large as ``identify.clamp_deviation``.
+
+    Otherwise, and without a baseline, return "".
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
     uncracked_posterior = identification.posterior_without_crack
@@ -681,10 +689,10 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
 
 
 def _describe_warming_condition_or_empty(identification: Identification) -> str:
-    """Describe the change of Young's modulus without which no crack fits.
+    """Describe the change of Young's modulus that the crack needs to explain the measurements.
 
-    The text names the modulus change, and the temperature change that causes it. Return "" if the
-    crack explains the measurements without a change of temperature.
+    The text begins with ";" and names the modulus change, and the temperature change that causes
+    it. Return "" if the crack explains the measurements without a change of temperature.
     """
     if (
         identification.posterior.compute_misfit_with_change_factors(temperature_factor=0.0)[1]

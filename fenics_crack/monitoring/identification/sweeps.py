@@ -58,15 +58,25 @@ The last two may be None.
 def find_vibration_ratio_to_solved_cracks(
     model: ForwardModel, load_frequency: float, point_name: str
 ) -> tuple[float, np.ndarray]:
-    """Find the largest vibration of a point at cracks between solved ones.
+    """Find the largest vibration of a point at cracks between solved cracks.
 
-    The vibration is the first harmonic at a load frequency [Hz], interpolated by the model.
+    Used to find resonances between grid points.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        Model that interpolates between solved cracks.
+    load_frequency : float [Hz]
+        Load frequency of the vibration.
+    point_name : str
+        Point and direction, such as "tip.ux"; "" for the load's point.
 
     Returns
     -------
-    float
-        Vibration over the largest at any solved crack; 0 if none is known.
-    (d,)
+    vibration_ratio : float
+        Largest interpolated amplitude of the first harmonic, divided by the largest amplitude at
+        any solved crack. 0 if no amplitude is known.
+    x : (d,)
         Values of the unknowns with the largest vibration.
     """
     first_harmonic_measurement = Measurement(
@@ -419,9 +429,10 @@ def _join_sweeps(
 
 
 def _count_allowed_cases(scene: Scene) -> int:
-    """Return the maximum number of solved cases: 8 times those in ``[identify.unknown]``.
+    """Return the maximum number of cases to solve when the grid becomes denser.
 
-    8 is :attr:`Options.max_solved_to_requested_case_ratio`.
+    The result is 8 (:attr:`Options.max_solved_to_requested_case_ratio`) times the number of cases
+    that ``[identify.unknown]`` requests.
     """
     unknown_axes = scene.given("identify").unknown
     return IDENTIFICATION_SETTINGS.max_solved_to_requested_case_ratio * math.prod(
@@ -589,7 +600,7 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
 def _thin_axes(unknown_axes: Sequence[Axis], n_kept_values: int) -> tuple[Axis, ...]:
     """Keep ``n_kept_values`` values of each unknown, equally spread, with both ends.
 
-    An unknown with text values keeps all of them.
+    Used for sweeps of a few cases. All values of an unknown with text values are kept.
     """
     thinned_axes = []
     for unknown_axis in unknown_axes:

@@ -286,8 +286,15 @@ def _describe_gain_or_empty(
 ) -> str:
     """Describe how a measurement reduces the standard deviations of the unknowns.
 
-    An example is "crack length then ± 0.2 mm instead of ± 1 mm". Unknowns whose printed value stays
-    the same are left out; "" if all do.
+    An example is "crack length then ± 0.2 mm instead of ± 1 mm". An unknown is left out if both
+    rounded numbers are the same. If all unknowns are left out, return "".
+
+    Parameters
+    ----------
+    current_deviation_by_key : mapping of str to float
+        Standard deviation of each unknown, by key, without the measurement.
+    improved_deviation_by_key : mapping of str to float
+        Standard deviation of each unknown, by key, with the measurement.
     """
     keys_and_deviation_texts = (
         (
