@@ -132,9 +132,9 @@ def required_contact_law(study: Study) -> ContactLaw:
 def with_fixed_slip_directions(study: Study, omega: float) -> Study:
     """Return a study with friction along a fixed line at each pair (collective).
 
-    Friction in a plane then becomes friction along a line, which is faster to solve. Only a solid
-    with friction changes. A pair's line is the direction in which the pair slides if there is no
-    friction, at the load frequency ``omega`` [rad/s].
+    Exact orbits need friction along a line, not in a plane. Only a solid with friction changes. A
+    pair's line is the direction in which the pair slides if there is no friction, at the load
+    frequency ``omega`` [rad/s].
     """
     if study.contact is None:
         return study
