@@ -62,13 +62,6 @@ def list_mean_cos_and_sin_force_vectors(scene: Scene) -> list[Vector]:
     rows = [part or zero_vector for part in mean_cos_and_sin_forces] + [zero_vector] * (
         2 * scene.highest_load_harmonic - 2
     )
-    for harmonic_table in excitation.harmonics:
-        is_complete = len(harmonic_table.cos) == scene.dimension
-        excitation.require(
-            is_complete,
-            "harmonics",
-            f"vectors of {scene.dimension} components each, one for each direction",
-        )
     add_harmonics(rows, excitation.harmonics)
     if excitation.wave is not None:
         for row_index, part in enumerate(

@@ -14,6 +14,7 @@ from fenics_crack.scene import result_tables
 from fenics_crack.scene import tables as kinds
 from fenics_crack.scene.fields import (
     Rule,
+    Table,
     condition_holds,
     describe_components,
     use_table_name_in_errors,
@@ -254,10 +255,10 @@ def _fit_zero_vectors_to_dimension(scene: SceneTables) -> None:
             converted_tables = []
             for list_position, table in enumerate(tables, 1):
                 with use_table_name_in_errors(f"{table_name}.{list_position}"):
-                    converted_tables.append(table.with_dimension(dimension))
+                    converted_tables.append(_fit_table_to_dimension(table, dimension))
             object.__setattr__(scene, table_name, tuple(converted_tables))
         elif tables is not None:
-            object.__setattr__(scene, table_name, tables.with_dimension(dimension))
+            object.__setattr__(scene, table_name, _fit_table_to_dimension(tables, dimension))
     for output_point in scene.output_points:
         if len(output_point.values) != dimension:
             raise InputError(
@@ -265,6 +266,22 @@ def _fit_zero_vectors_to_dimension(scene: SceneTables) -> None:
                 output_point.values,
                 describe_components("", dimension),
             )
+
+
+def _fit_table_to_dimension(table: Table, dimension: int) -> Table:
+    """Return a copy of a table for a scene with 2 or 3 dimensions.
+
+    Raises InputError if a nonzero vector, or the vector of a load's further harmonic, has another
+    number of components. A harmonic on an edge may have one number, a pressure.
+    """
+    if isinstance(table, kinds.PeriodicLoad):
+        allowed_counts = (dimension,) if getattr(table, "edge", None) is None else (dimension, 1)
+        table.require(
+            all(len(harmonic.cos) in allowed_counts for harmonic in table.harmonics),
+            "harmonics",
+            f"vectors of {dimension} components each, one for each direction",
+        )
+    return table.with_dimension(dimension)
 
 
 def _check_body_loads_and_cracks(scene: SceneTables) -> None:

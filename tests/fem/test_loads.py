@@ -274,12 +274,20 @@ def test_loads_are_written_and_read() -> None:
         ({"edge": "bottom", "pressure_sin": 1.0}, "loads.1.edge"),
         ({"edge": "top", "presure_sin": 1.0}, "loads.1.presure_sin"),
         ({"edge": "top", "traction_sin": 1.0}, "loads.1.traction_sin"),
+        ({"edge": "top", "harmonics": [{"order": 2, "cos": [1.0, 0.0, 0.0]}]}, "loads.1.harmonics"),
     ],
     ids=str,
 )
 def test_bad_loads_are_named(load: dict[str, Any], key: str) -> None:
     """By their number in the scene."""
     catch_error(lambda: fc.build_structure(strip(loads=[load])), key)
+
+
+def test_a_bad_harmonic_of_the_base_is_named() -> None:
+    """Three components in a plane, on a table that is no list."""
+    harmonics = [{"order": 2, "cos": [1.0, 0.0, 0.0]}]
+    base = {"acceleration_sin": [0.0, 1.0], "harmonics": harmonics}
+    catch_error(lambda: strip(base=base), "base.harmonics")
 
 
 def loads_on(text: str, comm: MPI.Comm) -> tuple[list[float], str]:
