@@ -235,10 +235,10 @@ class SweepResult(Tabular):
         Numbers and texts by name, in the shape of the axes; nan without a value.
 
         - ``response``: half the peak-to-peak displacement at the load, in its direction [m]
-        - ``mean`` to ``mean_shift``: indicators of the same displacement, as in :class:`Indicators`
+        - ``mean`` and so on: indicators of the same displacement, as in :class:`Indicators`
         - ``cosine_1`` to ``sine_6``: cosine and sine parts of its harmonics [m]
         - ``tip.ux.ratio_2_1``: the same for points in ``[output.points]``
-        - ``opening`` to ``closed_share``: indicators of the crack faces, as in :class:`Indicators`
+        - ``opening`` and so on: indicators of the crack faces, as in :class:`Indicators`
         - ``omega_open`` to ``over_bilinear``: as in :meth:`BilinearFrequencies.nearest`
         - ``omega_open_1`` to ``omega_tied_6``: natural frequencies, crack open or bonded [rad/s]
         - ``omega_bilinear_1`` to ``omega_bilinear_6``: natural frequencies, breathing crack [rad/s]
