@@ -256,9 +256,10 @@ class Problem:
 
     @cached_property
     def structure_with_pair_per_row(self) -> Structure:
-        """Structure with a pair for each contact row: with friction or layers two for each pair.
+        """Structure with a pair for each contact row.
 
-        Otherwise it is the structure itself.
+        Friction and a layer each double the number of rows. Without both, the result is the
+        structure itself.
         """
         return add_pair_for_each_contact_force(self.contact, self.structure)
 
@@ -400,7 +401,7 @@ class Problem:
         displacement : (2H+1, n_local) [m]
         gap, force : (2H+1, n_columns) [m], [N]
             A column for each pair; with friction, tangential columns follow the normal ones. Under
-            the layered law, a column for each pair, or for each of the two rows of a pair.
+            the layered law, a column for each pair, or for each of a pair's two springs.
         """
         n_pairs = self.structure.n_pairs
         gap, force = merge_layers_of_pairs(self.contact, n_pairs, gap, force)
@@ -893,6 +894,7 @@ class Search:
                 self.system.gap_without_static_part(
                     *split_pairs_into_layers(
                         problem.contact,
+                        problem.structure.n_pairs,
                         gap_and_force_coefficients.gap,
                         gap_and_force_coefficients.force,
                     )

@@ -30,6 +30,7 @@ from fenics_crack.basics.tables import Tabular, format_count
 from fenics_crack.model.contact import (
     ContactLaw,
     check_law,
+    count_normal_rows_per_pair,
     count_rows_per_pair,
     friction_coefficient_of,
     friction_of,
@@ -254,7 +255,8 @@ class TimeHistory(ObservedMotion, Tabular):
     recorded_dofs: np.ndarray
     final_state: tuple[np.ndarray, ...]
     """Displacement [m] and velocity [m/s] (n_local,) at the end of the last period. With friction
-    the tangential gaps (n_pairs,) [m] at which pairs stick follow. Given as ``initial``, the tuple
+    the tangential gaps (n_pairs,) [m] at which pairs stick follow; under the layered law (2
+    n_pairs,), for the layers and then for the contact below them. Given as ``initial``, the tuple
     continues the motion, at this frequency or another."""
     contact_force: np.ndarray
     """Contact force of each pair: (n, n_pairs) [N]. Central differences under UnilateralConstraint
@@ -636,6 +638,7 @@ def make_initial_state_parts(
 
     ``initial`` is a solution or a run, a tuple of arrays, or None for rest. With friction a third
     array (n_pairs,) [m] follows if ``initial`` has one: the tangential gaps at which pairs stick.
+    Under the layered law the third array is (2 n_pairs,).
 
     Raises
     ------
@@ -664,7 +667,8 @@ def make_initial_state_parts(
             state_parts = tuple(floats_or_single_nan(state_part) for state_part in initial)
         except TypeError:
             state_parts = ()
-    expected_shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
+    n_sliders = structure.n_pairs * count_normal_rows_per_pair(contact)
+    expected_shapes = (structure.n_local,), (structure.n_local,), (n_sliders,)
     shape_match_flags = [
         state_part.shape == expected_shape
         for state_part, expected_shape in zip(state_parts, expected_shapes, strict=False)
