@@ -131,7 +131,7 @@ TABLE = [
     ("solve scene.toml contact.layer_share=0.5", "contact.layer_depth is missing: give a finite number > 0 [m], with contact.layer_share"),
     ("solve scene.toml contact.layer_depth=0 contact.layer_share=0.5", "contact.layer_depth = 0: must be a finite number > 0 (1e-30 to 1e+30) [m]"),
     ("solve scene.toml contact.layer_depth=1e-6 contact.layer_share=1", "contact.layer_share = 1: must be a number between 0 and 1"),
-    ("solve scene.toml contact.layer_depth=1e-6 contact.layer_share=0.5 contact.friction=0.3", "contact.friction = 0.3: must be 0, or left out, with contact.layer_depth"),
+    ("solve scene.toml contact.layer_depth=1e-6 contact.layer_share=0.5 contact.friction=0.3", "contact.tangential_stiffness_per_area is missing: give a stiffness [N/m^3], with contact.friction and contact.layer_depth"),
     ("solve scene.toml contact.law=unilateral contact.stiffness=none contact.layer_depth=1e-6", "contact.layer_depth = 1e-06: not allowed with contact.law = 'unilateral'"),
     ("solve scene.toml contact.friction_error=0", "contact.friction_error = 0: must be a finite number > 0, or false"),
     ("solve scene.toml contact.friction_error=true", "contact.friction_error = True: must be a finite number > 0, or false"),

@@ -452,9 +452,9 @@ class BlockSolver(Solver):
                 stretch_period(initial.force_coefficients, n_periods_of_initial_solution),
                 problem.harmonics,
             )
-            initial_force = split_pairs_into_layers(problem.contact, initial_force, initial_force)[
-                1
-            ]
+            _, initial_force = split_pairs_into_layers(
+                problem.contact, problem.structure.n_pairs, initial_force, initial_force
+            )
             starts_with_stiffness_factors.insert(
                 0, (compliance_model.displacement(initial_force), 1.0)
             )

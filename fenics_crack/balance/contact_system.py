@@ -587,8 +587,8 @@ class PeriodicMotion:
         """Residual flexibility: (n_rows, n_rows) [m/N], or None if ``static_above`` is None.
 
         The flexibility is the quasi-static response of gaps to contact forces. The rows are the
-        pairs' normal gaps. With friction, tangential gaps follow. Under the layered law, the normal
-        gaps come twice.
+        pairs' normal gaps. With friction, tangential gaps follow. Under the layered law, both come
+        twice.
         """
         if self.static_above is None:
             return None
@@ -599,7 +599,7 @@ class PeriodicMotion:
         """Structure with a contact pair for each scalar contact force.
 
         With friction, each tangential gap is an additional pair. Under the layered law every pair
-        comes twice. Under other laws the result is the structure itself.
+        comes twice, in both directions. Under other laws the result is the structure itself.
         """
         return add_pair_for_each_contact_force(self.contact, self.structure)
 
@@ -639,7 +639,10 @@ class PeriodicMotion:
         quasi-static response. Without a residual flexibility, it is the gap.
         """
         gap_coefficients_of_rows, force_coefficients_of_rows = split_pairs_into_layers(
-            self.contact, self.row_gap_coefficients, self.row_force_coefficients
+            self.contact,
+            self.structure.n_pairs,
+            self.row_gap_coefficients,
+            self.row_force_coefficients,
         )
         if self.residual_compliance is None:
             return gap_coefficients_of_rows
@@ -764,7 +767,9 @@ class PeriodicMotion:
         """Return the friction sliders' positions at times [s]: (len(time), n_pairs) [m].
 
         A position is the tangential gap less the deformation of the tangential contact spring. A
-        pair that sticks keeps its position. InputError without friction.
+        pair that sticks keeps its position. Under the layered law the positions are (len(time), 2
+        n_pairs): of all sliders of layers, then of all sliders below them. InputError without
+        friction.
         """
         self._require_friction_law()
         assert isinstance(self._integrals, FrictionIntegrals)
@@ -805,7 +810,7 @@ class PeriodicMotion:
         responses = all_modes(self.structure_with_pair_per_row).static_displacement_by_pair_forces(
             self.static_above
         )
-        return responses[:, : self.row_force_coefficients.shape[1]]
+        return merge_layers_of_pairs(self.contact, self.structure.n_pairs, responses, responses)[0]
 
 
 def _join_columns(normal_columns: np.ndarray, tangential_columns: np.ndarray | None) -> np.ndarray:

@@ -259,7 +259,7 @@ class Problem:
         """Structure with a contact pair for each scalar contact force.
 
         With friction, each tangential gap is an additional pair. Under the layered law every pair
-        comes twice. Under other laws the result is the structure itself.
+        comes twice, in both directions. Under other laws the result is the structure itself.
         """
         return add_pair_for_each_contact_force(self.contact, self.structure)
 
@@ -915,6 +915,7 @@ class Search:
                 self.system.gap_without_static_part(
                     *split_pairs_into_layers(
                         problem.contact,
+                        problem.structure.n_pairs,
                         gap_and_force_coefficients.gap,
                         gap_and_force_coefficients.force,
                     )

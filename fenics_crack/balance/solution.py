@@ -547,7 +547,10 @@ class Solver:
         if initial is not None:
             n_periods = problem.subharmonic // initial.subharmonic
             initial_gap_and_force_coefficients = split_pairs_into_layers(
-                problem.contact, initial.row_gap_coefficients, initial.row_force_coefficients
+                problem.contact,
+                problem.structure.n_pairs,
+                initial.row_gap_coefficients,
+                initial.row_force_coefficients,
             )
             if (
                 initial_gap_and_force_coefficients[0].shape[1] == system.shape[1]

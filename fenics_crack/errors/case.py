@@ -202,7 +202,7 @@ class JudgedAnswer:
         if not (friction_coefficient := contact_table.friction_error):
             return "contact.friction_error = false"
         if contact_table.layer_depth is not None:
-            return "friction is not computed with contact.layer_depth"
+            return "the effect of friction is not estimated with contact.layer_depth"
         tangential_structure = structure.whole.with_tangents()
         if scene.disk is not None or tangential_structure.tangential is None:
             return "the effect of friction is estimated for single plates and solids only"

@@ -23,9 +23,11 @@ from fenics_crack.model.contact import (
     ContactLaw,
     UnilateralConstraint,
     add_pair_for_each_contact_force,
+    count_normal_rows_per_pair,
     friction_of,
     is_rigid,
     is_unilateral,
+    layered_law_of,
     split_pairs_into_layers,
 )
 from fenics_crack.model.modal import all_modes, is_small
@@ -383,9 +385,12 @@ def rebuild_solution(
     compliance_model = make_compliance_model(
         structure_with_contact_rows, omega / subharmonic, len(gap_coefficients) // 2, subharmonic
     )
-    contact_row_force_coefficients = split_pairs_into_layers(
-        contact, gap_coefficients, normal_and_tangential_coefficients
-    )[1]
+    _, contact_row_force_coefficients = split_pairs_into_layers(
+        contact,
+        structure.n_pairs,
+        normal_and_tangential_coefficients,
+        normal_and_tangential_coefficients,
+    )
     displacement_coefficients = compliance_model.displacement(contact_row_force_coefficients)
     compliance_model.destroy()
     solution = unpack_dataclass(
@@ -507,7 +512,8 @@ def _pack_orbit_displacements_and_velocities(curve: ResponseCurve) -> Datasets:
     structure, n_curve_points = curve.structure, len(curve)
     state_datasets = {"states": np.reshape(dof_states, (n_curve_points, 2, structure.n_dofs))}
     if friction_of(curve.contact) is not None:
-        state_datasets["places"] = np.reshape(sticking_gaps, (n_curve_points, structure.n_pairs))
+        n_sliders = structure.n_pairs * count_normal_rows_per_pair(curve.contact)
+        state_datasets["places"] = np.reshape(sticking_gaps, (n_curve_points, n_sliders))
     return state_datasets
 
 
@@ -603,7 +609,8 @@ def _unpack_exact_points(
     dof_signs = _find_dof_signs(structure, datasets["couplings"])
     for prefix, count in count_by_prefix.items():
         shape_by_name[f"{prefix}states"] = count, 2, structure.n_dofs
-        shape_by_name[f"{prefix}places"] = count, structure.n_pairs
+        n_sliders = structure.n_pairs * count_normal_rows_per_pair(contact)
+        shape_by_name[f"{prefix}places"] = count, n_sliders
     check_shapes(datasets, shape_by_name)
     known_fields: Datasets = {"structure": structure, "contact": contact, "bifurcations": ()}
     curve = unpack_dataclass(ResponseCurve, datasets, **known_fields, points=datasets["states"])
@@ -743,13 +750,14 @@ def _unpack_history(datasets: Datasets, structure: Structure, contact: OptionalL
     dof_signs = _find_dof_signs(structure, datasets["couplings"])
     n_instants, recorded_dofs = datasets["time"].size, datasets["recorded_dofs"]
     pair_dataset_names = "gap", "contact_force", "tangential_gap", "tangential_force"
+    n_sliders_per_pair = max(np.size(datasets.get("final_places")) // max(structure.n_pairs, 1), 1)
     shape_by_name: ShapeByName = {
         "time": (n_instants,),
         **dict.fromkeys(pair_dataset_names, (n_instants, structure.n_pairs)),
         "recorded_dofs": (recorded_dofs.size,),
         "recorded": (n_instants, recorded_dofs.size),
         "final_state": (2, structure.n_local),
-        "final_places": (structure.n_pairs,),
+        "final_places": (n_sliders_per_pair * structure.n_pairs,),  # two with a layer
     }
     check_shapes(datasets, shape_by_name)
     if datasets["steps_per_period"] < 1 or n_instants % datasets["steps_per_period"]:
@@ -830,7 +838,8 @@ def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
     datasets = {
         f"law_{attribute_name}": attribute_value
         for attribute_name in attribute_names
-        if (attribute_value := getattr(contact, attribute_name, None)) is not None
+        for law in (layered_law_of(contact), contact)
+        if (attribute_value := getattr(law, attribute_name, None)) is not None
     }
     if contact is not None and "law_sharpness" not in datasets and not is_unilateral(contact):
         with np.errstate(all="ignore"):  # gaps far from the structure's
@@ -859,7 +868,8 @@ def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -
         Structure with the number of pairs.
     """
     law_datasets = _law_datasets(contact, structure)
-    dataset_names = {"law", "law_stiffness", "law_sharpness", "law_force"} | law_datasets.keys()
+    dataset_names = {"law", "law_stiffness", "law_sharpness", "law_layer_depth", "law_force"}
+    dataset_names |= law_datasets.keys()
     stored_datasets = {
         dataset_name: datasets[dataset_name]
         for dataset_name in dataset_names

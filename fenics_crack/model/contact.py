@@ -29,8 +29,10 @@ linear is solved by Newton's method at all instants together.
 
 A convex piecewise-linear law is a sum of penalties with clearances of their own. Each penalty is a
 row: the layered law has the gap rows B twice, with the clearances g0 and g0 + p and the stiffnesses
-a k and (1 - a) k. With friction, tangential gaps are rows. :func:`add_pair_for_each_contact_force`
-makes the rows, and :func:`merge_layers_of_pairs` returns from rows to pairs.
+a k and (1 - a) k. With friction, tangential gaps are rows. Under the layered law each pair then has
+two sliders in parallel, with tangential stiffnesses a k_t and (1 - a) k_t. The friction force is
+the sum of both sliders' forces. :func:`add_pair_for_each_contact_force` makes the rows, and
+:func:`merge_layers_of_pairs` returns from rows to pairs.
 
 A step of time integration solves the same problem. D is then the compliance of the step, and s the
 gap that the step would reach without contact forces.
@@ -312,12 +314,13 @@ class CoulombFriction:
 
     Attributes
     ----------
-    law : UnilateralPenalty or UnilateralConstraint
-        Law of normal contact.
+    law : UnilateralPenalty, LayeredPenalty or UnilateralConstraint
+        Law of normal contact. Under the layered law, the layer and the contact below it have a
+        slider each, with the layer's share of k_t and the rest.
     coefficient : float or (n_pairs,)
         mu.
     tangential_stiffness : float or (n_pairs,) [N/m]
-        k_t; infinite: no elastic deformation before slip.
+        k_t; infinite: no elastic deformation before slip. Under the layered law it is finite.
     direction : (n_pairs,) [rad] or None
         In a solid, whose tangential gaps have two directions: the angle of each pair's sliding
         line, from the first to the second direction (:func:`fenics_crack.slide_along_lines`).
@@ -329,6 +332,7 @@ class CoulombFriction:
     ------
     InputError
         ``law`` is of another class, or the coefficient or the tangential stiffness is not positive.
+        Or the tangential stiffness is infinite under the layered law.
     """
 
     law: Any
@@ -338,11 +342,12 @@ class CoulombFriction:
     turning: float | None = None
 
     def __post_init__(self) -> None:
-        if not is_unilateral(self.law) or is_layered(self.law):
-            raise InputError("law", self.law, "UnilateralPenalty or UnilateralConstraint")
+        if not is_unilateral(self.law):
+            requirement = "UnilateralPenalty, LayeredPenalty or UnilateralConstraint"
+            raise InputError("law", self.law, requirement)
         mu = _checked_positive_number("friction coefficient", self.coefficient, allows_array=True)
         object.__setattr__(self, "coefficient", mu)
-        if not np.array_equal(self.tangential_stiffness, np.inf):
+        if is_layered(self.law) or not np.array_equal(self.tangential_stiffness, np.inf):
             tangential_stiffness = _checked_positive_number(
                 "tangential stiffness", self.tangential_stiffness, allows_array=True
             )
@@ -405,14 +410,16 @@ def with_penalty_as_normal_law(contact: ContactLaw, stiffness: float) -> Contact
 def add_pair_for_each_contact_force(contact: object, structure: Structure) -> Structure:
     """Return a structure with one contact pair for each scalar contact force of a law.
 
-    With friction, the tangential gaps are added as further pairs, after the normal gaps. Under the
-    layered law, every normal gap is added a second time. The second copy has the layer's depth as
-    additional clearance. Under any other law, the structure itself is returned.
+    Under the layered law, every gap is added a second time. The second copy of the normal gaps has
+    the layer's depth as additional clearance. With friction, the tangential gaps are added as
+    further pairs, after all normal gaps. Under any other law, the structure itself is returned.
     """
-    if is_layered(contact):
-        return structure.with_parallel_copy_of_pairs(contact.layer_depth)
-    friction = friction_of(contact)
-    return structure if friction is None else structure.with_tangential_pairs(friction.direction)
+    friction, layered_law = friction_of(contact), layered_law_of(contact)
+    line_angles = None if friction is None else friction.direction
+    if layered_law is not None:
+        structure = structure.with_parallel_copy_of_pairs(layered_law.layer_depth)
+        line_angles = None if line_angles is None else np.tile(line_angles, 2)
+    return structure if friction is None else structure.with_tangential_pairs(line_angles)
 
 
 def law_of_rows(contact: ContactLaw, n_pairs: int) -> ContactLaw:
@@ -420,7 +427,8 @@ def law_of_rows(contact: ContactLaw, n_pairs: int) -> ContactLaw:
 
     The structure is made by :func:`add_pair_for_each_contact_force`. Under the layered law, every
     pair occurs twice in that structure. The penalty law with one stiffness for each copy, (2
-    n_pairs,), is then returned. Any other law is returned unchanged.
+    n_pairs,), is then returned; with friction, both copies have the same coefficient. Any other law
+    is returned unchanged.
 
     Parameters
     ----------
@@ -431,7 +439,15 @@ def law_of_rows(contact: ContactLaw, n_pairs: int) -> ContactLaw:
     """
     if not is_layered(contact):
         return contact
-    return UnilateralPenalty(1.0 / spring_compliances(contact, n_pairs))
+    spring_stiffnesses = 1.0 / spring_compliances(contact, n_pairs)
+    penalty = UnilateralPenalty(spring_stiffnesses[: 2 * n_pairs])
+    friction = friction_of(contact)
+    if friction is None:
+        return penalty
+    coefficient_of_each_pair = np.broadcast_to(friction.coefficient, n_pairs)
+    return CoulombFriction(
+        penalty, np.tile(coefficient_of_each_pair, 2), spring_stiffnesses[2 * n_pairs :]
+    )
 
 
 def spring_compliances(contact: ContactLaw, n_pairs: int) -> np.ndarray:
@@ -446,29 +462,43 @@ def spring_compliances(contact: ContactLaw, n_pairs: int) -> np.ndarray:
 
     Returns
     -------
-    (n_pairs,) or (2 n_pairs,) [m/N]
+    (n_rows,) [m/N]
         Compliance of each pair's normal spring. With friction, the compliances of all tangential
-        springs follow. Under the layered law, the springs of the layer come first, then the springs
-        below the layer.
+        springs follow. Under the layered law, in either direction the springs of the layer come
+        first, then the springs below the layer.
     """
-    friction = friction_of(contact)
-    row_stiffnesses: tuple[float | np.ndarray, ...] = (contact.stiffness,)
-    if is_layered(contact):
-        row_stiffnesses = contact.row_stiffnesses
-    elif friction is not None:
-        row_stiffnesses = contact.stiffness, friction.tangential_stiffness
+    friction, layered_law = friction_of(contact), layered_law_of(contact)
+    pair_stiffnesses = [contact.stiffness]
+    if friction is not None:
+        pair_stiffnesses.append(friction.tangential_stiffness)
+    stiffness_shares = [1.0]
+    if layered_law is not None:
+        stiffness_shares = [layered_law.layer_share, 1.0 - layered_law.layer_share]
     ones_per_pair = np.ones(n_pairs)
     return np.concatenate(
-        [ones_per_pair / np.asarray(stiffness, dtype=float) for stiffness in row_stiffnesses]
+        [
+            ones_per_pair / np.multiply(share, stiffness)
+            for stiffness in pair_stiffnesses
+            for share in stiffness_shares
+        ]
     )
 
 
 def count_rows_per_pair(contact: object) -> int:
     """Return the number of scalar contact forces of each pair.
 
-    The number is 2 under the layered law and with friction, otherwise 1.
+    Each of friction and a layer doubles the number.
     """
-    return 2 if is_layered(contact) or friction_of(contact) is not None else 1
+    n_directions = 1 if friction_of(contact) is None else 2
+    return n_directions * count_normal_rows_per_pair(contact)
+
+
+def count_normal_rows_per_pair(contact: object) -> int:
+    """Return the number of normal contact forces of each pair, and with friction of sliders.
+
+    The number is 2 under the layered law, otherwise 1.
+    """
+    return 2 if is_layered(contact) else 1
 
 
 def merge_layers_of_pairs(
@@ -476,8 +506,9 @@ def merge_layers_of_pairs(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Merge the two springs of each pair under the layered law.
 
-    The results are the pair's gap, and the sum of both spring forces. Under any other law, gaps and
-    forces are returned unchanged.
+    The results are the pair's gap, and the sum of both spring forces; with friction in either
+    direction. Under any other law, and if the springs are merged already, gaps and forces are
+    returned unchanged.
 
     Parameters
     ----------
@@ -497,11 +528,17 @@ def merge_layers_of_pairs(
     """
     if not is_layered(contact):
         return gaps, forces
-    return gaps[:, :n_pairs], forces.reshape(len(forces), -1, n_pairs).sum(axis=1)
+    n_directions = 1 if friction_of(contact) is None else 2
+    row_gaps = gaps.reshape(len(gaps), n_directions, -1, n_pairs)
+    row_forces = forces.reshape(len(forces), n_directions, -1, n_pairs)
+    return (
+        row_gaps[:, :, 0].reshape(len(gaps), -1),
+        row_forces.sum(axis=2).reshape(len(forces), -1),
+    )
 
 
 def split_pairs_into_layers(
-    contact: object, gaps: np.ndarray, forces: np.ndarray
+    contact: object, n_pairs: int, gaps: np.ndarray, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Split each pair's gap and force into two springs, under the layered law.
 
@@ -512,18 +549,24 @@ def split_pairs_into_layers(
     Parameters
     ----------
     gaps, forces : (2H+1, n_pairs) [m], [N]
-        Fourier coefficients up to harmonic H of the pairs' gaps and total forces.
+        Fourier coefficients up to harmonic H of the pairs' gaps and total forces. With friction
+        normal columns, then tangential ones: (2H+1, 2 n_pairs).
 
     Returns
     -------
-    gaps, forces : (2H+1, 2 n_pairs) [m], [N]
-        Coefficients of all first springs, then of all second springs.
+    gaps, forces : (2H+1, n_rows) [m], [N]
+        Coefficients of all first springs, then of all second springs; with friction the same for
+        the tangential columns.
     """
-    if not is_layered(contact):
+    layered_law = layered_law_of(contact)
+    if layered_law is None:
         return gaps, forces
-    deep_gaps = gaps.copy()
-    deep_gaps[:1] -= contact.layer_depth
-    return np.hstack([gaps, deep_gaps]), np.hstack([forces, np.zeros_like(forces)])
+    gaps_by_direction = gaps.reshape(len(gaps), -1, n_pairs)
+    row_gaps = np.stack([gaps_by_direction, gaps_by_direction], axis=2)
+    row_gaps[0, 0, 1] -= layered_law.layer_depth
+    row_forces = np.zeros_like(row_gaps)
+    row_forces[:, :, 0] = forces.reshape(len(forces), -1, n_pairs)
+    return row_gaps.reshape(len(gaps), -1), row_forces.reshape(len(forces), -1)
 
 
 @lru_cache
@@ -554,9 +597,15 @@ def is_rigid(contact: object) -> TypeGuard[UnilateralConstraint]:
     return isinstance(getattr(contact, "law", contact), UnilateralConstraint)
 
 
-def is_layered(contact: object) -> TypeGuard[LayeredPenalty]:
-    """Return True for the layered law, in which each pair has two springs."""
-    return isinstance(contact, LayeredPenalty)
+def layered_law_of(contact: object) -> LayeredPenalty | None:
+    """Return the layered law of normal contact, also with friction; None under any other law."""
+    normal_contact = getattr(contact, "law", contact)
+    return normal_contact if isinstance(normal_contact, LayeredPenalty) else None
+
+
+def is_layered(contact: object) -> bool:
+    """Return True for the layered law, in which each pair has two springs; also with friction."""
+    return layered_law_of(contact) is not None
 
 
 def is_piecewise_linear(contact: object) -> TypeGuard[UnilateralPenalty | LayeredPenalty]:

@@ -966,12 +966,17 @@ def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) ->
 def _add_parallel_copy_of_pairs(structure: Structure) -> Structure:
     """Return a structure with every pair twice: all pairs, then all copies.
 
-    A copy has the clearance of the original pair.
+    A copy has the clearance of the original pair. Tangential gaps are doubled, too: all pairs twice
+    along the first direction, and in a solid then twice along the second.
     """
+    tangential_gap_matrix: Any = structure.tangential
+    if tangential_gap_matrix is not None:
+        pair_columns = np.arange(tangential_gap_matrix.shape[1]).reshape(-1, structure.n_pairs)
+        tangential_gap_matrix = tangential_gap_matrix[:, np.tile(pair_columns, 2).ravel()]
     return structure._in_setting(
         structure.load_damping_clearance_changes,
         gap=sparse.hstack([structure.gap, structure.gap]),
-        tangential=None,
+        tangential=tangential_gap_matrix,
         clearance=np.tile(structure.clearance, 2),
     )
 

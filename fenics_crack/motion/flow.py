@@ -41,9 +41,11 @@ from fenics_crack.model.contact import (
     ContactLaw,
     add_pair_for_each_contact_force,
     check_law,
+    friction_coefficient_of,
     friction_of,
     is_regular,
     is_unilateral,
+    law_of_rows,
     merge_layers_of_pairs,
     spring_compliances,
 )
@@ -159,8 +161,8 @@ class ModalFlow:
     A state has ``state_size`` entries: modal displacements q and velocities q', with friction also
     the slider position h of each pair. h is the tangential gap less the tangential spring's
     deformation, constant while a pair sticks. Contact rows are the pairs' normal gaps; with
-    friction tangential gaps follow (n_rows = 2 n_pairs, else n_pairs). Under the layered law the
-    normal gaps come twice: to the layers, then to the contact below the layers.
+    friction tangential gaps follow (n_rows = 2 n_pairs, else n_pairs). Under the layered law both
+    come twice, as rows of the layer and below it, with a slider each.
 
     Attributes
     ----------
@@ -195,10 +197,13 @@ class ModalFlow:
         self.friction_law = friction_of(contact)
         structure_with_contact_rows = add_pair_for_each_contact_force(contact, structure)
         self.n_normal_rows = structure_with_contact_rows.n_pairs // (2 if self.friction_law else 1)
-        self.clearance = (structure_with_contact_rows if self.friction_law else structure).clearance
+        row_clearances = structure_with_contact_rows.clearance[None]
+        self.clearance = merge_layers_of_pairs(
+            contact, structure.n_pairs, row_clearances, row_clearances
+        )[0][0]
         self.modal_model = modal_model = all_modes(structure_with_contact_rows)
         self.n_modes = len(modal_model.squares)
-        self.state_size = 2 * self.n_modes + (structure.n_pairs if self.friction_law else 0)
+        self.state_size = 2 * self.n_modes + (self.n_normal_rows if self.friction_law else 0)
         self.residual_flexibility = modal_model.static_pair_compliance()
         self.softness = spring_compliances(contact, structure.n_pairs)
         self.compliance = self.residual_flexibility + np.diag(self.softness)
@@ -220,9 +225,9 @@ class ModalFlow:
 
         With friction, ``slider_positions`` (..., n_pairs) [m] are the slider positions h:
         tangential gaps less the deformation of the tangential springs. Default: the tangential gaps
-        under the mean load without contact forces.
+        under the mean load without contact forces. Under the layered law they are (..., 2 n_pairs).
         """
-        dof_to_mode_matrix, n_pairs = self.modal_model.shapes_inverse.T, self.structure.n_pairs
+        dof_to_mode_matrix, n_pairs = self.modal_model.shapes_inverse.T, self.n_normal_rows
         state_parts = [displacement @ dof_to_mode_matrix, velocity @ dof_to_mode_matrix]
         if self.friction_law:
             if slider_positions is None:
@@ -304,8 +309,14 @@ class ModalFlow:
                 load_basis
                 @ select_rows((self.structure.force @ modal_model.massless_flexibility).T).T
             )
-            responses = modal_model.massless_displacement_by_pair_forces[:, : force.shape[1]]
-            displacement -= force @ select_rows(responses).T
+            responses = modal_model.massless_displacement_by_pair_forces
+            responses_to_pairs, _ = merge_layers_of_pairs(
+                self.contact, self.structure.n_pairs, responses, responses
+            )
+            _, pair_force = merge_layers_of_pairs(
+                self.contact, self.structure.n_pairs, force, force
+            )
+            displacement -= pair_force @ select_rows(responses_to_pairs).T
         return displacement
 
 
@@ -330,11 +341,9 @@ class ContactFlow(ModalFlow):
             float(modal_model.squares.max()), modal_model.damping
         )
         """Upper bound of these rates while all pairs are open [1/s]."""
-        friction_coefficients = None
-        if self.friction_law:
-            friction_coefficients = np.broadcast_to(self.friction_law.coefficient, n_pairs).astype(
-                float
-            )
+        friction_coefficients = friction_coefficient_of(law_of_rows(contact, structure.n_pairs))
+        if friction_coefficients is not None:
+            friction_coefficients = np.broadcast_to(friction_coefficients, n_pairs).astype(float)
         flow_parts_struct = Struct(
             "flow_parts", modes=self.n_modes, pairs=n_pairs, friction=friction_coefficients,
             coupled=modal_model.damping.ndim == 2, squares=as_doubles(modal_model.squares),
@@ -368,7 +377,7 @@ class ContactFlow(ModalFlow):
         mu = -1 / e, with a real negative eigenvalue e of (D_rows E_0)^-1 D_rows E_1. The result is
         inf if no combination has a real negative e.
         """
-        n_pairs, critical_coefficients = self.structure.n_pairs, [np.inf]
+        n_pairs, critical_coefficients = self.n_normal_rows, [np.inf]
         for trial_pair_states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
             trial_closed_pair_indices = np.flatnonzero(trial_pair_states)
             trial_stuck_pair_indices = np.flatnonzero(trial_pair_states == kernel.STICK)
@@ -459,7 +468,7 @@ class ContactFlow(ModalFlow):
             np.maximum(self.modal_model.squares, base_omega**2), out=energy_weights[: self.n_modes]
         )
         if self.friction_law:  # h deforms a spring as stiff as a single sticking pair
-            stick_compliance = np.diag(self.compliance)[self.structure.n_pairs :]
+            stick_compliance = np.diag(self.compliance)[self.n_normal_rows :]
             energy_weights[2 * self.n_modes :] = 1.0 / np.sqrt(stick_compliance)
         return energy_weights
 
@@ -776,8 +785,8 @@ class Samples:
     time: np.ndarray
     states: np.ndarray
     forces_and_openings: np.ndarray
-    """(n, n_rows): closed rows' forces [N], open rows' openings [m]. With friction (n, 4
-    n_pairs): forces on all rows, then gaps less the deformation of the contact springs."""
+    """(n, n_rows): closed rows' forces [N], open rows' openings [m]. With friction (n, 2
+    n_rows): forces on all rows, then gaps less the deformation of the contact springs."""
     pair_states: np.ndarray
 
     @property
@@ -844,9 +853,9 @@ class Samples:
         """Return the slider positions h of friction: (n, n_pairs) [m].
 
         h is the tangential gap less the tangential spring's deformation, and is constant while the
-        pair sticks. Without friction: (n, 0).
+        pair sticks. Under the layered law: (n, 2 n_pairs). Without friction: (n, 0).
         """
-        return self.forces_and_openings[:, len(self.flow.softness) + self.flow.structure.n_pairs :]
+        return self.forces_and_openings[:, len(self.flow.softness) + self.flow.n_normal_rows :]
 
     @property
     def whole_states(self) -> np.ndarray:

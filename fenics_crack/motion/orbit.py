@@ -537,15 +537,19 @@ class PeriodicOrbit(ObservedMotion, Described):
         """Return friction loss [J], stick share and slip share of the period.
 
         Keys are names of :class:`Indicators`. The shares are fractions of the period, as means over
-        the pairs. Without friction the dictionary is empty.
+        the pairs. A pair with two sliders, under the layered law, sticks while one of them sticks.
+        Without friction the dictionary is empty.
         """
         if not self.flow.friction_law:
             return {}
         track = self.motion.track
+        slider_states = track.sets.reshape(len(track.sets), -1, self.structure.n_pairs)
+        is_sticking = np.any(slider_states == kernel.STICK, axis=1)
+        is_slipping = np.any(slider_states > kernel.STICK, axis=1) & ~is_sticking
         return {
             "friction_loss": float(self.work_of_load_and_losses.friction.sum()),
-            "stick_share": track.mean_time_share_of_pairs(track.sets == kernel.STICK),
-            "slip_share": track.mean_time_share_of_pairs(track.sets > kernel.STICK),
+            "stick_share": track.mean_time_share_of_pairs(is_sticking),
+            "slip_share": track.mean_time_share_of_pairs(is_slipping),
         }
 
     @property

@@ -778,7 +778,7 @@ class Contact(Table):
     """Tangential stiffness of sticking pairs, per area of crack face.
 
     Left out: sticking pairs do not move, which requires crack faces without mass
-    (``reduction.method = "massless"``).
+    (``reduction.method = "massless"``) and no contact layer.
     """
     pairs: str = choice_field("all", "mouth", default="all")
     """"all": every pair of crack-face nodes, or mesh.patches pairs.
@@ -800,7 +800,12 @@ class Contact(Table):
         if self.layer_depth is not None or self.layer_share is not None:
             self.given("layer_depth", "given: a finite number > 0 [m], with contact.layer_share")
             self.given("layer_share", "given: a number between 0 and 1, with contact.layer_depth")
-            self.require(not self.friction, "friction", "0, or left out, with contact.layer_depth")
+            if self.friction:
+                tangential_requirement = "with contact.friction and contact.layer_depth"
+                self.given(
+                    "tangential_stiffness_per_area",
+                    f"given: a stiffness [N/m^3], {tangential_requirement}",
+                )
         self.require(
             self.has_force_only_when_closed or not self.friction,
             "friction",

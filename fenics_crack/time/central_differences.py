@@ -252,11 +252,8 @@ class _CreatedEnergyAccount:
             extended_arrays
         )
         if friction_of(self._request.contact) is not None:  # tangents create none
-            n_pairs = self._request.structure.n_pairs
-            extended_gaps, extended_contact_forces = (
-                extended_gaps[:, :n_pairs],
-                extended_contact_forces[:, :n_pairs],
-            )
+            extended_gaps, _ = np.hsplit(extended_gaps, 2)
+            extended_contact_forces, _ = np.hsplit(extended_contact_forces, 2)
         self._created_energy -= 0.5 * float(
             np.sum(extended_contact_forces[1:-1] * (extended_gaps[2:] - extended_gaps[:-2]))
         )
@@ -323,7 +320,7 @@ class _ModalDifferences(Scheme):
         springs, friction_members = None, dict[str, Any]()
         if not request.is_rigid:
             springs = _contact_stiffnesses(request.structure, request.contact)
-        if (mu := friction_coefficient_of(request.contact)) is not None:
+        if (mu := friction_coefficient_of(request.row_law)) is not None:
             assert springs is not None
             self._friction_solver = FrictionContactSolver(np.diag(1.0 / springs), mu)
             self._sticking_tangential_gaps = np.zeros(n_rows // 2)
@@ -487,7 +484,7 @@ class _CentralDifferences(Scheme):
         self._contact_dofs = np.flatnonzero(np.diff(structure_with_contact_rows.gap.indptr))
         self._contact_dof_gap_matrix = structure_with_contact_rows.gap[self._contact_dofs].toarray()
         self._clearance = structure_with_contact_rows.clearance
-        if (mu := friction_coefficient_of(request.contact)) is not None:
+        if (mu := friction_coefficient_of(request.row_law)) is not None:
             self._friction_solver = FrictionContactSolver(
                 np.diag(1.0 / _contact_stiffnesses(structure, request.contact)), mu
             )
@@ -531,7 +528,7 @@ class _CentralDifferences(Scheme):
         displacement, velocity = request.start_state[:2]
         self.displacement = self._nearest_admissible_displacement(displacement)
         if friction_of(self.contact) is not None:
-            initial_tangential_gap = self._gap_of(displacement)[structure.n_pairs :]
+            _, initial_tangential_gap = np.split(self._gap_of(displacement), 2)
             self._sticking_tangential_gaps = (
                 request.start_state[2] if request.start_state[2:] else initial_tangential_gap
             )

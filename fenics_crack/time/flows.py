@@ -48,6 +48,7 @@ from fenics_crack.model.contact import (
     ContactLaw,
     FrictionContactSolver,
     friction_coefficient_of,
+    law_of_rows,
 )
 from fenics_crack.model.modes import multiply_columns
 from fenics_crack.model.structure import Structure
@@ -309,7 +310,8 @@ class ExponentialFlow(ModalFlow):
         )
         step_compliance = self.compliance + gap_response
         contact_struct_members: dict[str, Any]
-        if (friction_coefficient := friction_coefficient_of(contact)) is None:
+        friction_coefficient = friction_coefficient_of(law_of_rows(contact, structure.n_pairs))
+        if friction_coefficient is None:
             self._initial_contact_solver = ActiveSetSolver(self.compliance)
             contact_struct_members = {"contact_solver": ActiveSetSolver(step_compliance).handle}
         else:
@@ -442,7 +444,7 @@ class ExponentialMotion:
         A step dissipates the mean friction force times the change of the sticking place, summed
         over pairs. A sticking place is the tangential gap less the tangential spring's deformation.
         """
-        flow, n_pairs = self.flow, self.flow.structure.n_pairs
+        flow, n_pairs = self.flow, self.flow.n_normal_rows
         if not flow.friction_law:
             return 0.0
         friction_force = self.contact_forces_at_instants[:, n_pairs:]

@@ -30,6 +30,7 @@ from fenics_crack.basics.tables import Tabular, format_count
 from fenics_crack.model.contact import (
     ContactLaw,
     check_law,
+    count_normal_rows_per_pair,
     count_rows_per_pair,
     friction_coefficient_of,
     friction_of,
@@ -265,7 +266,8 @@ class TimeHistory(ObservedMotion, Tabular):
     recorded_dofs: np.ndarray
     final_state: tuple[np.ndarray, ...]
     """Displacement [m] and velocity [m/s] (n_local,) at the end of the last period. With friction
-    the tangential gaps (n_pairs,) [m] at which pairs stick follow. Given as ``initial``, the tuple
+    the tangential gaps (n_pairs,) [m] at which pairs stick follow; under the layered law (2
+    n_pairs,), for the layers and then for the contact below them. Given as ``initial``, the tuple
     continues the motion, at this frequency or another."""
     contact_force: np.ndarray
     """Contact force of each pair: (n, n_pairs) [N]. Central differences under UnilateralConstraint
@@ -653,8 +655,9 @@ def make_initial_state_parts(
     """Return displacement [m] and velocity [m/s] at time 0, (n_local,) each (collective).
 
     With friction a third array (n_pairs,) [m] may follow: the tangential gaps at which pairs stick.
-    ``initial`` is a harmonic-balance solution, a Run with a solution, a tuple of the arrays in this
-    order, or None for rest. The third array follows if ``initial`` has sticking places.
+    Under the layered law it has (2 n_pairs,) entries. ``initial`` is a harmonic-balance solution, a
+    Run with a solution, a tuple of the arrays in this order, or None for rest. The third array
+    follows if ``initial`` has sticking places.
 
     Raises
     ------
@@ -683,7 +686,8 @@ def make_initial_state_parts(
             state_parts = tuple(floats_or_single_nan(state_part) for state_part in initial)
         except TypeError:
             state_parts = ()
-    expected_shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
+    n_sliders = structure.n_pairs * count_normal_rows_per_pair(contact)
+    expected_shapes = (structure.n_local,), (structure.n_local,), (n_sliders,)
     shape_match_flags = [
         state_part.shape == expected_shape
         for state_part, expected_shape in zip(state_parts, expected_shapes, strict=False)

@@ -205,7 +205,7 @@ def test_refusals() -> None:
     catch_error(
         lambda: fc.CoulombFriction(fc.SmoothedPenalty(1.0, 1.0), 0.3),
         "law",
-        names="UnilateralPenalty or UnilateralConstraint",
+        names="UnilateralPenalty, LayeredPenalty or UnilateralConstraint",
     )
     penalty_friction = fc.CoulombFriction(fc.UnilateralPenalty(1.0), 0.3)
     catch_error(

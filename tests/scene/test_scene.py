@@ -234,7 +234,7 @@ BAD: list[tuple[str, dict[str, Any]]] = [
     ("contact.stiffness", {"contact.law": "unilateral"}),
     ("contact.stiffness_per_area", {"contact": {"law": "unilateral", "stiffness_per_area": 1e12}}),
     ("contact.sharpness", {"contact": {"law": "unilateral", "sharpness": 1e9}}),
-    # a layer needs depth and share, the law "penalty", and no friction
+    # a layer needs depth and share, the law "penalty", and with friction a tangential stiffness
     ("contact.layer_depth", {"contact.layer_share": 0.5}),
     ("contact.layer_share", {"contact.layer_depth": 1e-6}),
     ("contact.layer_depth", {"contact.layer_depth": 0.0, "contact.layer_share": 0.5}),
@@ -243,7 +243,7 @@ BAD: list[tuple[str, dict[str, Any]]] = [
         for share in (0.0, 1.0, -0.5)
     ),
     (
-        "contact.friction",
+        "contact.tangential_stiffness_per_area",
         {"contact.layer_depth": 1e-6, "contact.layer_share": 0.5, "contact.friction": 0.3},
     ),
     *(
