@@ -60,8 +60,9 @@ class TipTrack(HarmonicFit):
         Constant, and cosine and sine coefficients of the harmonics: a0, a1, b1, ....
     amplitudes, amplitude_errors : (n, K) [m]
         Amplitudes with standard errors. Both are nan in a group with too few arrivals. Errors are
-        also nan with as many unknowns as arrivals, or two or fewer degrees of freedom. These are
-        counted for the group and for an arrival's variance together.
+        also nan with as many unknowns as arrivals, or with two or fewer degrees of freedom. The
+        degrees of freedom are a sum: arrivals less unknowns in the group, plus the degrees of
+        freedom with which an arrival's variance was estimated.
     misfit : float
         Probability that chance alone correlates the residuals in successive revolutions as much as
         measured. If tiny, harmonics outside the fit change the fitted ones. nan without more probes
@@ -279,20 +280,32 @@ def _fit_samples_by_group(
     freedom: int,
     angle_deviation: float,
 ) -> dict[int, tuple[Sample, OrderFit]]:
-    """Fit an order to each group of revolutions.
+    """Fit an engine order to each group of revolutions.
 
     There are n groups with up to m arrivals each.
 
     Parameters
     ----------
-    arrivals, order, multiples, angle_deviation
-        Record, order p, multiples (K,), and probe angles' standard deviation [rad].
-    rotor_angles_without_vibration, displacements, has_arrival : (n, m)
-        Rotor angles without vibration [rad], displacements [m], and True for an arrival.
+    arrivals : ArrivalTimes
+        Record with the probes and the blade tip radius.
+    order : float
+        Periods of the load in a revolution.
+    multiples : (K,)
+        Fitted harmonics, as multiples of the load's frequency.
+    rotor_angles_without_vibration : (n, m) [rad]
+        Rotor angles at which the blade tip would pass the probes without vibration.
+    displacements : (n, m) [m]
+        Measured displacements.
+    has_arrival : (n, m) bool
+        True for an arrival; other entries are ignored.
     fitted_groups : (k,)
         Indices of groups with enough arrivals.
-    variance, freedom : float [m^2], int
-        A measured displacement's variance, and the degrees of freedom.
+    variance : float [m^2]
+        Estimated variance of a measured displacement.
+    freedom : int
+        Degrees of freedom with which ``variance`` was estimated.
+    angle_deviation : float [rad]
+        Probe angles' standard deviation.
 
     Returns
     -------
@@ -337,7 +350,7 @@ def _find_coefficients_and_covariances(
         Coefficient error if a group's arrivals are not centred in the group, from
         :func:`_subtract_linear_changes`. The square is added to the covariance.
     freedom : int
-        Degrees of freedom of the variance of a measured displacement.
+        Degrees of freedom with which the variance of a measured displacement was estimated.
 
     Returns
     -------
@@ -489,7 +502,7 @@ def _estimate_variance_and_freedom(
     variance : float [m^2]
         A measured displacement's variance.
     freedom : int
-        Degrees of freedom of the variance; 0 without two usable neighbours.
+        Degrees of freedom with which the variance was estimated; 0 without two usable neighbours.
     """
     total_freedom, has_arrival_pair = freedoms.sum(), has_arrival[1:] & has_arrival[:-1]
     freedoms = np.minimum(freedoms[1:], freedoms[:-1])

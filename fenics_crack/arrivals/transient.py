@@ -704,13 +704,16 @@ class Fit:
 
     @property
     def blind_probe_indices(self) -> np.ndarray:
-        """Indices (n,) of probes that do not measure the blade's vibration.
+        """Indices (n,) of blind probes, which do not measure the blade's vibration.
 
         At each probe, the first mode's fitted motion is multiplied by a complex factor, to fit the
-        displacements. The ratio is the factor's size divided by the median of the real parts at all
-        probes. Probes with a ratio below 0.5 are blind under two conditions. First, a minority has
-        such ratios. Second, the ratios differ from 1 over five times more than all remaining
-        ratios.
+        displacements. The factor's magnitude is divided by the median over all probes of the
+        factors' real parts. This ratio is about 1 at most probes.
+
+        The probes with a ratio below 0.5 are blind, under two conditions. First, the remaining
+        probes with arrivals are more numerous. Second, the ratios below 0.5 are clearly apart: the
+        smallest deviation from 1 is more than five times as large as the largest deviation among
+        the remaining ratios.
         """
         n_probes = self._runs[0].rotor_angles_without_vibration.shape[1]
         matrices, right_hand_sides = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))

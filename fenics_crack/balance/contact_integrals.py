@@ -124,7 +124,7 @@ class ContactIntegrals(ABC):
         Residual flexibility R_inf in series with contact. The slow gap is s = g + R_inf lambda,
         with gap g and contact force lambda; None: s = g.
     relative_series_softness : float
-        Further compliance in series with every pair, in units of ``mean_pair_compliance``.
+        Further compliance in series with every pair, divided by ``mean_pair_compliance``.
     """
 
     law: ContactLaw
@@ -162,7 +162,10 @@ class ContactIntegrals(ABC):
 
     @cached_property
     def mean_pair_compliance(self) -> float:
-        """Mean of ``series_compliance_per_pair`` over the pairs [m/N], the unit of the softness."""
+        """Mean of ``series_compliance_per_pair`` over all pairs [m/N].
+
+        Used as reference value: ``relative_series_softness`` is a compliance divided by this mean.
+        """
         return float(np.mean(self.series_compliance_per_pair))
 
     @abstractmethod
@@ -199,7 +202,10 @@ class ContactIntegrals(ABC):
         return None
 
     def with_series_softness(self, relative_series_softness: float) -> Self:
-        """Return integrals with another ``relative_series_softness`` in series with every pair."""
+        """Return a copy of the integrals with another compliance in series with every pair.
+
+        ``relative_series_softness`` is this compliance, divided by ``mean_pair_compliance``.
+        """
         return (
             self
             if relative_series_softness == self.relative_series_softness

@@ -750,7 +750,11 @@ def _states_with_more_modes(
 
 
 def _solver_for_other_problem(solver: Solver, problem: Problem) -> Solver:
-    """Return the solver for another problem, and report the number of harmonics as progress."""
+    """Return a copy of a solver with the same settings, for another problem.
+
+    Usually ``problem`` has another number of harmonics. The numbers of harmonics and coordinates
+    are reported as progress.
+    """
     begin_stage(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
     return replace(solver, problem=problem)
 

@@ -233,9 +233,10 @@ class PeriodicSolution(PeriodicMotion, ObservedMotion, Described):
         )
 
         def evaluate_at(period_fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            """Return row products (n, m), gaps [m] and forces [N] (n, n_columns) of the motion.
+            """Return row products, gaps [m] and contact forces [N] at n positions in the period.
 
-            ``period_fractions`` (n,) are positions in the period, 0 to 1.
+            ``period_fractions`` (n,) are the positions, from 0 to 1. The row products (n, m) are
+            each of the m ``rows`` times the displacement. Gaps and forces are (n, n_columns).
             """
             return motion_gap_and_force(
                 *self.basis_gaps_and_forces_at_phases(RAD_PER_TURN * period_fractions)
@@ -244,9 +245,11 @@ class PeriodicSolution(PeriodicMotion, ObservedMotion, Described):
         def motion_gap_and_force(
             basis: np.ndarray, gap: np.ndarray, force: np.ndarray
         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            """Return row products (n, m), then the gaps and forces as given.
+            """Return row products (n, m) at n instants, then the given gaps and forces.
 
-            ``basis`` (n, 2H+1) has the Fourier basis functions at n instants.
+            The row products are each of the m ``rows`` times the displacement. ``basis`` (n, 2H+1)
+            has the Fourier basis functions at the instants. ``gap`` [m] and ``force`` [N] are (n,
+            n_columns).
             """
             row_products = basis @ motion_coefficients
             if static_motion_per_force is not None:

@@ -210,7 +210,7 @@ def back_up_files(file_names: Sequence[str], folder: Path, kept_folder: Path) ->
 def replace_files(file_names: Sequence[str], folder: Path, text_by_name: Mapping[str, str]) -> None:
     """Replace the named files in a folder by new texts.
 
-    The earlier files are kept in the inner folder "before".
+    The earlier files are kept in a folder "before" inside the folder.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def replace_files(file_names: Sequence[str], folder: Path, text_by_name: Mapping
     Raises
     ------
     InputError
-        A file cannot be written, or the inner folder is a link or a file.
+        A file cannot be written, or "before" is a link or a file.
     """
     make_or_check_results_folder(folder, (BACKUP_FOLDER_NAME,), "folder")
     with report_write_errors(folder, "folder"):
@@ -244,7 +244,8 @@ def make_or_check_results_folder(
     folder : Path
         The folder, or a link to a folder.
     inner_folder_names : iterable of str
-        Names of inner folders. None is made; an existing one must be no link and no file.
+        Names of folders inside the folder. They are not made; a link or a file with such a name is
+        an error.
     key : str
         Name of the option with the folder, for an error.
 
@@ -262,9 +263,10 @@ def make_or_check_results_folder(
 
 
 def check_is_no_link_or_file(folder: Path, key: str = "path") -> None:
-    """Raise InputError if an inner folder for results is a link or a file.
+    """Raise InputError if a link or a file has the path of a folder for results.
 
-    A missing folder is allowed. ``key`` is the name of the option with the folder, for the error.
+    Used before results are written to this folder, which is often inside the results folder. A
+    missing folder is allowed. ``key`` names the option with the results' path, for the error.
     """
     if _is_link_or_file(folder):
         raise InputError(

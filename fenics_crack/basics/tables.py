@@ -310,7 +310,11 @@ class Described:
 
 
 class Tabular(Described):
-    """Base class for a result whose :meth:`to_dict` has lists of equal length."""
+    """Base class for a result that can be saved as a table with several rows.
+
+    The dict from :meth:`to_dict` has a list for each column, all of equal length. This class adds
+    the table as a CSV file and as a ``pandas.DataFrame``.
+    """
 
     def to_csv(self, path: str | Path) -> None:
         """Write :meth:`table` as CSV, or as JSON if the name ends in ``.json``.

@@ -100,7 +100,7 @@ class OrbitEquations(CurveSystem):
     def flow(self, value: float) -> ContactFlow:
         """Return the exact flow at a parameter value.
 
-        The flows at the start and at the last value are kept.
+        The flows at the curve's start and at the last requested value are kept for later calls.
         """
         if self.parameter_name == "omega" or value == self.start:
             return self._start_flow
@@ -164,7 +164,8 @@ class OrbitEquations(CurveSystem):
     def _scale_state(self, state: np.ndarray, value: float) -> np.ndarray:
         """Return a state times the scale factors; the rest state is not subtracted.
 
-        Over the speed, the state is first converted to the modes at the curve's start.
+        ``value`` is the curve's parameter. If the parameter is the rotor speed, the state is first
+        converted to the modes at the curve's start.
         """
         if self.parameter_name == "speed":
             state = np.linalg.solve(self._matrix_from_start_modes_to_modes_at(value), state)
@@ -183,9 +184,12 @@ class OrbitEquations(CurveSystem):
         )
 
     def _matrix_from_start_modes_to_modes_at(self, value: float) -> np.ndarray:
-        """Return the matrix that converts states from the start's modes to a speed's modes.
+        """Return the matrix that converts a state to the modes at another rotor speed.
 
-        Speed ``value`` is in rad/s. Shape: (n_unknowns, n_unknowns).
+        A state has modal displacements and velocities, and the rotor speed changes the modes. The
+        matrix converts a state from the modes at the curve's start to the modes at the speed
+        ``value`` [rad/s]. With friction, slider positions stay. The shape is (n_unknowns,
+        n_unknowns).
         """
         modal_basis_change = (
             self.flow(value).modal_model.shapes_inverse @ self._start_flow.modal_model.shapes
@@ -228,10 +232,10 @@ class OrbitEquations(CurveSystem):
 
     @cached_property
     def compiled_equations(self) -> ShootingEquations | None:
-        """Same equations in the C kernel, or None.
+        """The same equations in the faster C kernel, or None if the kernel lacks them.
 
-        None over contact stiffness, speed and friction coefficient. Over the damping, None if the
-        law has friction.
+        The kernel has no equations along contact stiffness, rotor speed and friction coefficient.
+        With friction, it has no equations along the damping either.
         """
         parameter_is_damping = self.parameter_name == "damping"
         # With friction, the places where pairs stick depend on the damping, too.

@@ -93,7 +93,7 @@ class Wheel(Structure):
     families : int
         Number of mode families kept in a reduction. A family has N modes, for N blades.
     wheel_dofs_by_sector : (N, n_sector) int
-        The wheel's dof for each sector's dofs.
+        For each of N sectors with n_sector dofs: the number of each dof in the wheel.
     places : (n,) int
         For each dof of the wheel, the sector and the dof in this sector, as a single number: sector
         times n_sector, plus the dof.
@@ -137,7 +137,9 @@ class Wheel(Structure):
         def assemble_forces(forces: np.ndarray) -> np.ndarray:
             """Add up the sectors' forces at the wheel's dofs.
 
-            Given are m rows of forces (m, N, n_sector) [N]; the result is (m, n_local) [N].
+            ``forces`` (m, N, n_sector) [N] are m load cases on N sectors with n_sector dofs each.
+            The result is (m, n_local) [N], with the n_local wheel dofs on this rank: all on rank 0,
+            none on other ranks.
             """
             return np.asarray(forces.reshape(len(forces), -1) @ wheel_to_sector_dofs_matrix)[
                 :, own_rows
@@ -146,7 +148,8 @@ class Wheel(Structure):
         def assemble_gap(gap: sparse.spmatrix) -> sparse.csr_matrix:
             """Assemble the gap matrix B of all cracks: (n_local, n_pairs).
 
-            ``gap`` is a sector's gap matrix, normal or tangential.
+            ``gap`` (n_sector, pairs per sector) is a sector's gap matrix, normal or tangential.
+            n_local is the number of wheel dofs on this rank: all on rank 0, none on other ranks.
             """
             return sparse.csr_matrix(
                 wheel_to_sector_dofs_matrix.T @ sparse.kron(cracked_sector_selection_matrix, gap)
@@ -295,8 +298,8 @@ class Wheel(Structure):
     def _assemble_wheel_matrix(self, sector_block_matrix: sparse.spmatrix) -> Any:
         """Assemble a matrix of the wheel from the sectors' matrices (collective).
 
-        ``sector_block_matrix`` (N n_sector, N n_sector) has each sector's matrix, with free sides,
-        on the diagonal.
+        ``sector_block_matrix`` (N n_sector, N n_sector) has the matrices of N sectors on the
+        diagonal. A sector's matrix has n_sector dofs, with free sides.
         """
         wheel_to_sector_dofs_matrix = make_selection_matrix(
             self.wheel_dofs_by_sector.ravel(), self.n_dofs
@@ -392,7 +395,7 @@ def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
 
 
 def _make_sector_loads(sector: Sector, engine_order: int) -> np.ndarray:
-    """Return the load on each sector's dofs: (2K+1, N, n_sector) [N].
+    """Return the load on each of N sectors with n_sector dofs: (2K+1, N, n_sector) [N].
 
     Rows are mean, then cosine and sine for harmonics 1 to K. On sector j, harmonic k leads sector 0
     by 2 pi k E j / N, with the engine order E.
@@ -418,7 +421,7 @@ def _make_wheel_nodes(
     cracked_sectors : tuple of int
         Sectors with a crack, from 0.
     wheel_dof_numbers : (N, n_sector) int
-        The wheel's dof for each sector's dofs.
+        For each of N sectors with n_sector dofs: the number of each dof in the wheel.
     own_rows : slice
         Nodes and cells to store on this rank: all on rank 0, none on all further ranks.
     """
@@ -649,9 +652,10 @@ class WheelInFewCoordinates(Structure):
         return min(families * self.n_sectors, self.n_dofs - self.n_pairs)
 
     def iterate_sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
-        """Return an iterator over the displacement (m, n_sector) [m] of each sector.
+        """Return an iterator over the displacements (m, n_sector) [m] of each sector.
 
-        Each of the m rows in ``displacement`` (m, n_dofs) has the coordinates (q, d) of a motion.
+        A sector has n_sector dofs. Each of the m rows in ``displacement`` (m, n_dofs) has the
+        coordinates (q, d) of a motion.
         """
         return (
             displacement @ self.basis.sector_motions(sector_index).T

@@ -664,20 +664,24 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _estimate_error_by_coarser_mesh(self) -> PartOrReason:
         """Estimate the error due to the mesh from a coarser mesh, modes unchanged (collective).
 
-        The main error is the sum, with signs, of two errors:
+        The error is the root of the sum of squares of five contributions:
 
-        - the shape error: the change by the mesh at equal distance from the resonance,
-        - the shift error: the change because the mesh moves the resonance; 0 for a peak.
-
-        Both are extrapolated from the coarser mesh with an assumed convergence order p. Several p
-        are tried, from 1 to the elements' best order. The largest absolute sum counts.
-
-        Four further contributions are added, as the root of the sum of squares:
-
-        - a tenth of the smaller error, shape or shift,
-        - the change with a shifted clearance (:meth:`_compute_values_with_shifted_clearance`),
+        - the main error, see below,
+        - a tenth of the shape error or the shift error (see below), whichever is smaller,
+        - the change if the cracks' clearances are shifted, since the end of a closed zone is known
+          only to half the distance between contact pairs
+          (:meth:`_compute_values_with_shifted_clearance`),
         - the error of K_I at closed crack fronts,
         - the increase of displacement under a point force if elements were half as long.
+
+        The main error is the sum of two errors, with their signs:
+
+        - the shape error: the change by the mesh at equal distance from the resonance,
+        - the shift error: the change because the mesh moves the resonance. If the answer is a
+          curve's peak, the shift error is 0, as the peak moves with the resonance.
+
+        Both are extrapolated from the coarser mesh with an assumed convergence order p. Several p
+        are tried, from 1 to the elements' best order. The largest absolute sum is the main error.
 
         A stress intensity's error is at least the largest change along a crack front.
 

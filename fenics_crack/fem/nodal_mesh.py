@@ -224,7 +224,8 @@ class NodalMesh:
         """Return the nodes of edges or facets on crack faces: (n, k) int.
 
         The rows are selected from ``boundary_sides``: edges of a plate, facets of a solid. An edge
-        or facet is on a crack face if its centre coincides with a second centre.
+        lies on a crack face if its centre coincides with the centre of another edge, on the
+        opposite face. The same holds for facets.
         """
         from scipy.spatial import cKDTree  # slow to import, and few pictures need it
 

@@ -88,8 +88,9 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
     dict
         For a mesh file, arrays of :func:`collect_nodes_and_groups`. For a part, arrays of
         :func:`collect_mesh` with "straight", the number of straightened cells. Without "size",
-        "triangles" and "owners" of :func:`triangulate_faces_coarsely`. For an unusable part,
-        "refused": key and requirement.
+        "triangles" and "owners" of :func:`triangulate_faces_coarsely`. If a value in the scene
+        makes the part unusable, the dict has only "refused". This array has two texts: the value's
+        key in the scene, such as "mesh.size", and the requirement on the value.
     """
     with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
         ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
@@ -117,7 +118,8 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
 def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
     """Mesh a CAD part, or only the part's faces, as requested in :func:`read`.
 
-    Raises Refusal for a part that cannot be meshed.
+    ``path`` is the CAD file. The result has the arrays that :func:`read` returns for a part. Raises
+    Refusal for a part that cannot be meshed.
     """
     solid_dim_tags = _import_part(path, request["unit"])
     triangles, face_tag_of_triangle = triangulate_faces_coarsely()
@@ -851,7 +853,10 @@ def straighten_edges(
     basis_gradients = np.reshape(basis_gradients, (10, 10, 3))
 
     def is_folded() -> np.ndarray:
-        """Return True for cells with too different Jacobian determinants: (n_cells,) bool."""
+        """Return True for each nearly folded cell: (n_cells,) bool.
+
+        The Jacobian determinant varies too much within such a cell.
+        """
         determinants = np.linalg.det(np.einsum("cnx,pnr->cpxr", positions[cells], basis_gradients))
         return np.asarray(
             determinants.min(axis=1) < MIN_JACOBIAN_RATIO_IN_CELL * determinants.max(axis=1)

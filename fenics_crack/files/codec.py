@@ -75,7 +75,11 @@ def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
     """
 
     def to_json_value(value: Any, dataset_name: str) -> Any:
-        """Return a value made from dicts, lists, numbers and words; store arrays separately."""
+        """Return a value with dicts, lists, numbers and words only, as JSON requires.
+
+        A numeric array is stored in ``array_by_name`` under the name ``dataset_name``. In the
+        result, this name replaces the array. Scenes in a dict are left out.
+        """
         if is_dataclass(value):
             value = {field.name: getattr(value, field.name) for field in fields(value)}
         if isinstance(value, Mapping):

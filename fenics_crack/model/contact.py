@@ -1132,7 +1132,11 @@ def solve_contact_forces_by_newton(
     """
 
     def gap_law_force_and_slope(force: np.ndarray, slow_gap: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return the gap s - D lambda, and the law's force and slope there: (n, n_pairs) each."""
+        """Return the gaps under contact forces, and the law's forces and slopes at these gaps.
+
+        The gaps are s - D lambda, with ``slow_gap`` s, compliance D and ``force`` lambda. All
+        arrays are (n, n_pairs).
+        """
         total_gap = slow_gap - force @ compliance
         return (total_gap, *law_force_and_slope_function(total_gap))
 
@@ -1214,19 +1218,20 @@ def _minimising_step_fraction_by_instant(
     """Find the best fraction of a Newton step for contact forces, for each instant.
 
     The fraction minimises the convex function of :func:`solve_contact_forces_by_newton`. Bisection
-    finds the zero of the slope along the step.
+    finds the zero of the slope along the step. The slow gap s is the gap without contact forces.
+    Contact forces lambda reduce s to the gap s - D lambda, with the compliance D.
 
     Parameters
     ----------
     gap_and_law_force_function : callable
-        Takes contact forces and slow gaps. Returns the gaps [m], and the law's forces [N] at these
-        gaps, (n, n_pairs) each.
+        Takes contact forces lambda and slow gaps s. The first two results are the gaps s - D lambda
+        [m], and the law's contact forces [N] at these gaps, (n, n_pairs) each.
     force_before_step, force_step : (n, n_pairs) [N]
         Contact forces at the start of each step, and their change by a full step.
     gap : (n, n_pairs) [m]
-        Slow gaps: gaps as they would be without contact forces.
-    slope_tolerance : (n,)
-        Magnitude [J] of the function's slope along the step at which bisection ends.
+        Slow gaps s at n instants.
+    slope_tolerance : (n,) [J]
+        Bisection ends if the magnitude of the slope along the step is at most this tolerance.
 
     Returns
     -------

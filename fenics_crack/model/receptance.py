@@ -435,12 +435,20 @@ def _store_dof_rows(
 ) -> None:
     """Add displacements of dofs to the attribute ``rows`` of a receptance (collective).
 
+    For each dof, ``rows`` gets the displacements in the receptance's modes, and static
+    displacements by unit forces. The static displacements omit the receptance's modes.
+
     Parameters
     ----------
+    known_receptance : Receptance
+        Receptance to extend.
+    structure : Structure
+        Structure with the stiffness, to which the dofs belong.
     dofs : (m,) int
         Numbers of the dofs.
     flexibility : ResidualFlexibility
-        Static flexibility of all modes that the receptance lacks, with its unit forces.
+        Static flexibility without the receptance's modes. The attribute ``sources`` has the unit
+        forces.
     stiffness_factor_or_none : Factor, optional
         Factor of the stiffness. Default: it is computed.
     """

@@ -367,15 +367,18 @@ class ContactFlow(ModalFlow):
 
         Used to warn of a larger coefficient: the motion may then have no unique continuation. The
         search tries 400 random combinations of pair states: open, sticking, or slipping in either
-        of two directions. A combination has a matrix A(mu) from contact forces to gaps, with the
-        rows of ``compliance`` for closed pairs' normal gaps and stuck pairs' tangential gaps. With
-        these rows D_rows:
+        of two directions. The contact rows are the normal gaps of all pairs, then the tangential
+        gaps of all pairs. A combination has m unknown forces: normal forces in closed pairs, and
+        tangential forces in sticking pairs. The m gaps in the same rows change by a matrix A times
+        these forces:
 
-            A = D_rows (E_0 + mu E_1).
+            A = D_m (E_0 + mu E_1).
 
-        E_0 places the forces in all rows, and E_1 adds slipping pairs' friction. A is singular at
-        mu = -1 / e, with a real negative eigenvalue e of (D_rows E_0)^-1 D_rows E_1. The result is
-        inf if no combination has a real negative e.
+        D_m has the m rows of ``compliance``, with a column for each contact row. E_0 puts each
+        unknown force into its own contact row. E_1 puts 1 or -1 times the normal force into the
+        tangential row of each slipping pair. A is singular at mu = -1 / e, for a real negative
+        eigenvalue e of (D_m E_0)^-1 D_m E_1. The result is inf if no combination has such an
+        eigenvalue.
         """
         n_pairs, critical_coefficients = self.n_normal_rows, [np.inf]
         for trial_pair_states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
@@ -456,12 +459,12 @@ class ContactFlow(ModalFlow):
         return float(self.mode_rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 
     def energy_weights(self, base_omega: float) -> np.ndarray:
-        """Return the weights w of a state z for the energy norm |w z|: (state_size,).
+        """Return weights e for the energy norm ``|e z|`` of a state z: (state_size,).
 
-        A modal displacement has the weight max(w_j, ``base_omega``), with the mode's frequency w_j
-        [rad/s] and the response's lowest frequency ``base_omega`` [rad/s]. A modal velocity has the
-        weight 1. With friction, a slider position has the square root of the pair's tangential
-        stiffness while no other pair sticks.
+        Let w_j [rad/s] be the natural frequency of mode j, and w_0 = ``base_omega`` [rad/s] the
+        response's lowest frequency. The displacement of mode j has the weight max(w_j, w_0), and
+        the velocity of mode j has 1. With friction, slider positions follow. The weight is the
+        square root of the pair's tangential stiffness while no other pair sticks.
         """
         energy_weights = np.ones(self.state_size)
         np.sqrt(
@@ -473,13 +476,13 @@ class ContactFlow(ModalFlow):
         return energy_weights
 
     def amplitude_weights(self, base_omega: float) -> np.ndarray:
-        """Return the weights w of a state z for the amplitude norm |w z|: (state_size,).
+        """Return weights a for the amplitude norm ``|a z|`` of a state z: (state_size,).
 
-        This norm measures states by displacement rather than energy. A modal displacement has the
-        weight 1. A modal velocity has the weight 1 / max(w_j, ``base_omega``), with the mode's
-        frequency w_j [rad/s] and the response's lowest frequency ``base_omega`` [rad/s]. With
-        friction, a slider position has the energy norm's weight, divided by max(w_1,
-        ``base_omega``).
+        The norm measures a state by displacement rather than energy. Let w_j [rad/s] be the natural
+        frequency of mode j, and w_0 = ``base_omega`` [rad/s] the response's lowest frequency. The
+        displacement of mode j has the weight 1, and the velocity of mode j has 1 / max(w_j, w_0).
+        With friction, slider positions follow. Their weights are the weights in
+        :meth:`energy_weights`, divided by max(w_1, w_0).
         """
         weights = self.energy_weights(base_omega)
         floored_mode_omegas = weights[: self.n_modes]

@@ -191,9 +191,9 @@ class MotionRecord:
         return self.gaps.shape[1] // (1 if self.friction_coefficient is None else 2)
 
     def last_periods(self, periods: int) -> MotionRecord:
-        """Cut the record to the last load periods.
+        """Return a copy of this record with only the last ``periods`` load periods.
 
-        The record of a periodic motion is returned unchanged.
+        If the record is for a periodic motion, return the record itself.
         """
         if not self.instants_per_load_period:
             return self
@@ -208,7 +208,10 @@ class MotionRecord:
         )
 
     def select_rows(self, rows: slice) -> MotionRecord:
-        """Keep a slice of the m observed displacements in the record."""
+        """Return a copy of this record with some of the m observed displacements.
+
+        ``rows`` selects the displacements by index. Gaps and contact forces stay.
+        """
         evaluate_all = self.evaluate_at_period_fractions
         evaluate = evaluate_all and (
             lambda period_fractions: (
@@ -252,9 +255,11 @@ class MotionRecord:
         def stack_columns(
             row_products: np.ndarray, gaps: np.ndarray, forces: np.ndarray
         ) -> np.ndarray:
-            """Return the functions of time whose maxima are wanted, as columns.
+            """Return the functions of time whose maxima are searched, as columns.
 
-            ``row_products`` (k, m), ``gaps`` and ``forces`` (k, n_rows) are values at k instants.
+            There are 2 m columns, or 2 m + 4 with contact pairs, in the order of
+            :meth:`row_and_face_maxima`. ``row_products`` (k, m), ``gaps`` and ``forces`` (k,
+            n_rows) are values at k instants.
             """
             stacked_columns = [row_products, -row_products]
             if n_pairs:

@@ -70,12 +70,13 @@ class SearchOptions:
     guess_harmonic_counts : tuple of int
         Numbers of harmonics in the harmonic-balance solutions for guesses.
     period_budget : int
-        Work allowed after Newton's method failed from all guesses, in periods. A period with 200
-        Taylor pieces and 12 modes counts as 1; another period counts in proportion to its pieces
-        and to the square of its modes. Half of the budget is for the homotopy path. A quarter is
-        for integrating the motion from a guess, and a quarter for orbits near close returns. The
-        budget lasts about a second. With friction the budget is three quarters of
-        ``period_budget``; as each period takes longer, it lasts one to three seconds.
+        Work allowed after Newton's method has failed from all guesses. The unit is a period with up
+        to 12 modes and up to 200 Taylor pieces (intervals with a single Taylor series). More pieces
+        count in proportion, more modes by the square of their number. Half of the work is for the
+        homotopy path. A quarter is for integrating the motion from the last guess. The last quarter
+        is for Newton's method, started from the motion's last state, then from the states that
+        change least in a period (close returns). All this work takes about a second. With friction
+        only three quarters of ``period_budget`` are allowed, and take one to three seconds.
     """
 
     guess_harmonic_counts: tuple[int, ...] = (5, 10, 20, 40)
@@ -83,11 +84,11 @@ class SearchOptions:
 
     @classmethod
     def piece_budget(cls, flow: ContactFlow) -> int:
-        """Return the search's budget on a flow, as a number of Taylor pieces.
+        """Return the number of Taylor pieces that an orbit search may compute.
 
         A piece is an interval with a single Taylor series. For a state with up to 24 entries (12
-        modes without friction) the budget is 800,000 pieces, with friction 600,000. For n > 24
-        entries it is multiplied by (24 / n)^2.
+        modes without friction) the number is 800,000, with friction 600,000. For n > 24 entries it
+        is multiplied by (24 / n)^2.
         """
         n_periods = (0.75 if flow.friction_law else 1.0) * cls.period_budget
         return int(
@@ -104,7 +105,7 @@ class SearchOptions:
 
 
 class StartStrategy(NamedTuple):
-    """Way to begin a search.
+    """A way to find starting points for a search.
 
     Attributes
     ----------

@@ -62,9 +62,12 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
     Harmonic balance finds the solution at the load frequency (:func:`solve_harmonic_balance`). If
     the scene gives a tolerance but no number of modes, this number is chosen.
 
-    Stability (:func:`floquet`) is added if the solution converges, and if all modes can be
-    computed. Smooth contact laws then need at most 100 dofs. Rigid contact needs crack faces
-    without mass.
+    Stability (:func:`floquet`) is added to a converged solution with contact if all modes can be
+    computed. Three kinds of solutions get no stability:
+
+    - smooth contact laws in a structure with more than 100 dofs,
+    - rigid contact between crack faces with mass,
+    - any solution with ``harmonic_balance.error = false``.
 
     Parameters
     ----------

@@ -362,8 +362,9 @@ class PeriodicLoad:
 class Excitation(Table, PeriodicLoad):
     """Point force f(t) = force_mean + force_cos cos(omega t) + force_sin sin(omega t).
 
-    ``[[excitation.harmonics]]`` adds further orders k, cos cos(k omega t) + sin sin(k omega t).
-    With an engine order n the frequency is n times ``rotation.speed``.
+    ``[[excitation.harmonics]]`` adds c cos(k omega t) + s sin(k omega t) for further orders k. The
+    amplitudes c and s are the keys ``cos`` and ``sin``. With an engine order n the frequency is n
+    times ``rotation.speed``.
     """
 
     _KEY_RULES = (Rule("without excitation.wave", ("wave_harmonics",)),)
@@ -464,8 +465,12 @@ def add_harmonics(harmonic_vectors: list[Vector], harmonics: tuple[Harmonic, ...
 class Load(Table, PeriodicLoad):
     """Further load: a force at a point, or a pressure or traction on an edge.
 
-    q(t) = mean + cos cos(omega t - phase) + sin sin(omega t - phase), at the excitation's
-    frequency.
+    The load over time is
+
+        q(t) = q_mean + q_cos cos(omega t - phase) + q_sin sin(omega t - phase)
+
+    with the excitation's frequency omega. The amplitudes q_mean, q_cos and q_sin are the keys with
+    these endings, such as ``pressure_mean``, ``pressure_cos`` and ``pressure_sin``.
 
     An edge is "top", "left" or "right" of a plate, or a curve named in a mesh file. A pressure
     pushes towards the plate.
@@ -984,10 +989,10 @@ class Structure(Table):
     forces lambda, gap matrix B and clearance g0. The tables [geometry], [material], [mesh], [crack]
     and [base] are left out.
 
-    Files have the formats of Matrix Market, CalculiX (.sti, .mas), Abaqus (.mtx) or Nastran (.pch,
-    .op4); columns are in Matrix Market files. With the ``model`` that belongs to the matrices, the
-    load may act at excitation.point. If there is contact without a file for the gaps, the contact
-    pairs are found in the model.
+    The files for M, C and K have the formats of Matrix Market, CalculiX (.sti, .mas), Abaqus (.mtx)
+    or Nastran (.pch, .op4). The files for gap matrices, load, clearance and areas are Matrix Market
+    files. With the ``model`` that belongs to the matrices, the load may act at excitation.point. If
+    there is contact without a file for the gaps, the contact pairs are found in the model.
     """
 
     mass: str = path_field("the path of a file with an (n, n) matrix", MISSING)

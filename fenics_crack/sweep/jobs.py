@@ -99,6 +99,8 @@ class Worker:
     ) -> Iterator[tuple[np.ndarray, ChunkOutcome]]:
         """Solve a job's chunks one after the other, and yield the outcome of each.
 
+        A chunk has up to 16 neighbouring cases.
+
         Parameters
         ----------
         job : Job
@@ -210,12 +212,16 @@ class Worker:
 def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
     """Solve the jobs that rank 0 sends, until a message with the tag END arrives.
 
-    ``comm`` has all ranks of the sweep. Each chunk's outcome goes back to rank 0.
+    ``comm`` has all ranks of the sweep. Each chunk's outcome goes back to rank 0. A chunk has up to
+    16 neighbouring cases.
     """
     send_requests_to_rank_0: list[MPI.Request] = []
 
     def may_continue() -> bool:
-        """Forget messages sent completely; return False once END has arrived."""
+        """Return False if the message END has arrived, else True.
+
+        Requests for messages that rank 0 has received completely are dropped.
+        """
         send_requests_to_rank_0[:] = [
             send_request_to_rank_0
             for send_request_to_rank_0 in send_requests_to_rank_0
@@ -399,15 +405,19 @@ class Manager:
         self._send_job(comm, message_status.source)
 
     def _take_next_job(self, rank: int) -> Job | None:
-        """Choose the next job for a rank; None if no chunk remains.
+        """Choose the next job for a rank; None if no cases remain.
 
-        A rank first goes on with the structure (mesh and modes) of its last job. If no chunk of
-        this structure remains, the rank gets a structure that no rank works on. If there is none,
-        it gets the structure with most chunks left.
+        The cases with the same structure (mesh and modes) are divided into chunks, with up to 16
+        neighbouring cases each. A job has one or more chunks with the same structure.
 
-        A job takes all chunks of its structure if there is only one rank. It also does if more
-        structures than ranks are not begun. Otherwise it takes fewer chunks, so that the ranks
-        finish together.
+        A rank first goes on with the structure of its last job. If no chunk of this structure
+        remains, the rank gets a structure that no rank works on. If ranks work on all structures,
+        the rank gets the structure with most chunks left.
+
+        A job takes all remaining chunks of its structure in two cases: there is only one rank, or
+        there are more structures without a rank than ranks. Otherwise the job takes fewer: the
+        remaining chunks divided by twice the number of ranks, rounded up. The ranks then finish
+        together.
         """
         if not self._remaining_case_numbers_by_geometry:
             return None
@@ -438,7 +448,7 @@ class Manager:
         return Job(geometry_number, tuple(case_numbers_of_chunks[:n_job_chunks]))
 
     def _record_outcome(self, case_numbers: np.ndarray, outcome: ChunkOutcome) -> None:
-        """Write a chunk's cases to the file.
+        """Write the outcome of a chunk (up to 16 neighbouring cases) to the file.
 
         If the outcome is an error, or writing fails, the error is kept and ends the sweep.
         """

@@ -175,7 +175,8 @@ class UncrackedPlate:
     def compute_elastic_fractions(self, speed_ratio: float) -> np.ndarray:
         """Return the fraction e_j of each squared natural frequency due to elasticity: (n,).
 
-        The rest, 1 - e_j, comes from rotation. ``speed_ratio`` is the rotor speed over the scene's.
+        The rest, 1 - e_j, comes from rotation. ``speed_ratio`` is the rotor speed divided by the
+        scene's rotor speed.
         """
         natural_omega, mode_vectors = self.solve_modes_at(speed_ratio)
         return np.asarray(
@@ -188,8 +189,8 @@ class UncrackedPlate:
     ) -> np.ndarray:
         """Return the ratios of natural frequencies after and before a modulus change: (n,).
 
-        ``modulus_ratio`` is Young's modulus after the change over the scene's. ``speed_ratio`` is
-        the rotor speed over the scene's.
+        ``modulus_ratio`` is Young's modulus after the change, divided by the scene's modulus.
+        ``speed_ratio`` is the rotor speed divided by the scene's rotor speed.
         """
         return (
             self.solve_modes_at(speed_ratio, modulus_ratio)[0] / self.solve_modes_at(speed_ratio)[0]
@@ -204,8 +205,8 @@ class UncrackedPlate:
         speed, the root sum square of both entries for mode 1 is 1.
 
         If the clamped nodes are unknown, column 0 has the elastic fractions
-        (:meth:`compute_elastic_fractions`), column 1 is 0. ``speed_ratio`` is the rotor speed over
-        the scene's.
+        (:meth:`compute_elastic_fractions`), column 1 is 0. ``speed_ratio`` is the rotor speed
+        divided by the scene's rotor speed.
         """
         if not self.clamp_reactions.shape[1]:
             return np.outer(self.compute_elastic_fractions(speed_ratio), [1.0, 0.0])
@@ -230,7 +231,7 @@ class UncrackedPlate:
         Each of the s columns is for a change by one prior standard deviation. The columns are
         Young's modulus, density, thickness, a turning clamp and a moving clamp. Then follow n
         columns for the model error of each mode, and n for the stiffening of each mode by rotation.
-        ``speed_ratio`` is the rotor speed over the scene's.
+        ``speed_ratio`` is the rotor speed divided by the scene's rotor speed.
         """
         young_deviation, density_deviation, _ = self._young_density_thickness_deviations
         elastic_fractions = self.compute_elastic_fractions(speed_ratio)
@@ -356,8 +357,8 @@ class UncrackedPlate:
         """Return relative frequency changes by changed clamp and temperature.
 
         Clamp and temperature may change between the baseline and later measurements. The baseline
-        are natural frequencies measured before the crack. ``speed_ratio`` is the rotor speed over
-        the scene's.
+        are natural frequencies measured before the crack. ``speed_ratio`` is the rotor speed
+        divided by the scene's rotor speed.
 
         Returns
         -------
@@ -501,25 +502,28 @@ class BaselineChanges:
     """Possible changes of natural frequencies between the baseline and now.
 
     The baseline are natural frequencies measured before the crack. Since then, clamp and
-    temperature of the plate may have changed. Each array has a row for each of q measurements. Only
-    natural frequencies of the n modes of the plate change. All remaining rows are 0 (factors 1).
+    temperature of the plate may have changed. Each array has a row for each of q measurements. A
+    row has changes only if the measurement is a natural frequency of one of the plate's n modes.
+    Rows for other measurements are 0, and their factors are 1. In an array of changes, each column
+    has the effect of a single cause, changed by one standard deviation.
 
     Attributes
     ----------
     temperature_frequency_factors : (q,)
-        Factor on each prediction for its stated temperature. It is 1 at the present temperature, or
-        if no temperature is stated.
+        Predicted frequencies are multiplied by this factor, for the temperature stated with the
+        measurement. The factor is 1 at the present temperature, or if no temperature is stated.
     clamp_frequency_changes : (q, 3 + n)
-        Relative changes of baseline frequencies by the clamp, each column by one standard
-        deviation. The columns are those of
-        :meth:`UncrackedPlate.compute_clamp_and_temperature_sensitivities`.
+        Relative changes of baseline frequencies by the clamp. Columns 0 to 2: a clamp that turns, a
+        clamp that moves, and stiffening by rotation. Column 2 + j, with j from 1: only the
+        frequency of mode j changes.
     unknown_temperature_frequency_changes : (q, 1 + n)
-        Column 0: relative changes by one standard deviation of an unknown temperature difference.
-        Column j: uncertainty of this change for mode j, from the stiffening by rotation.
+        Relative changes of baseline frequencies by an unknown temperature difference. Column 0: the
+        temperature difference itself. Column j, with j from 1: error of column 0 for mode j, as the
+        stiffening by rotation is uncertain.
     temperature_error_frequency_changes : (q, 2 + n)
-        Relative changes by errors of known temperature differences, each column by one standard
-        deviation. Columns 0 and 1: temperature coefficient and thermometer. Column 1 + j:
-        stiffening of mode j by rotation.
+        Relative changes by errors of known temperature differences. Column 0: error of the
+        temperature coefficient. Column 1: error of the thermometer. Column 1 + j, with j from 1:
+        uncertain stiffening of mode j by rotation.
     """
 
     def __init__(
@@ -528,11 +532,12 @@ class BaselineChanges:
         speed_ratios: Sequence[float],
         uncracked_plate: UncrackedPlate,
     ) -> None:
-        """Take q measurements, and the rotor speed of each over the scene's.
+        """Compute the changes for q measurements.
 
-        The present temperature is the mean of the temperatures stated for measurements with the
-        crack. A baseline measurement has a known temperature difference if its temperature and the
-        present temperature are stated; otherwise the difference is unknown.
+        ``speed_ratios`` (q,) are rotor speeds at the measurements, divided by the scene's rotor
+        speed. The present temperature is the mean of the temperatures stated for measurements with
+        the crack. A baseline measurement has a known temperature difference if its temperature and
+        the present temperature are stated; otherwise the difference is unknown.
         """
         identify_table = uncracked_plate.identify_table
         n_modes = len(uncracked_plate.natural_frequencies_hz)
@@ -601,10 +606,11 @@ class BaselineChanges:
 
     @property
     def frequency_changes(self) -> np.ndarray:
-        """Return all relative changes of q predictions since the baseline: (q, s).
+        """Return all relative changes of q predictions since the baseline: (q, 6 + 3 n).
 
-        Each of the s columns is for a change by one standard deviation. The order is unknown
-        temperature, clamp, errors of known temperatures.
+        Each column is for a change by one standard deviation. First come 1 + n columns for an
+        unknown temperature. 3 + n columns for the clamp follow, then 2 + n for errors of known
+        temperatures. n is the number of modes.
         """
         return np.hstack(
             [
