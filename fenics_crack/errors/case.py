@@ -1,7 +1,7 @@
 """Vary the causes of an answer's error, each alone.
 
-A cause is the mesh, modes, harmonics, friction or samples. The contribution to an error is called
-the cause's part. :mod:`stated` and :mod:`verify` use the two estimates in this module:
+The causes are named in :mod:`fenics_crack.basics.causes`. The contribution to an error is called
+the cause's part. :mod:`stated` and :mod:`verify` use the estimates in this module:
 
 *Harmonics.* If an exact orbit is close enough to the answer, the part is the distance to the
 orbit's numbers. The limits are in :func:`fenics_crack.errors.numbers.find_accepted_orbit_or_none`.
@@ -36,7 +36,7 @@ from fenics_crack.balance.harmonic_balance import (
 )
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.basics.causes import VARIED_RUN_DESCRIPTION_BY_ERROR_CAUSE
+from fenics_crack.basics.causes import ERROR_CAUSES
 from fenics_crack.basics.errors import InputError
 from fenics_crack.errors.convergence import GridConvergence, PartOrReason
 from fenics_crack.errors.numbers import (
@@ -251,7 +251,7 @@ class JudgedAnswer:
             convergence_by_name[quantity_name] = GridConvergence(
                 friction_coefficients,
                 answer_and_changed_value,
-                "two coefficients",
+                "two parameter values",
                 factor=safety_factor,
             )
         return MODE_COUNTS_FOR_FRICTION_EFFECT[:1] * 2, convergence_by_name
@@ -345,7 +345,7 @@ class JudgedAnswer:
             convergence_by_name[quantity_name] = GridConvergence(
                 (0.0, 1.0),
                 (value, value_with_turning),
-                "two coefficients",
+                "two parameter values",
                 factor=SLIDING_ACROSS_LINES_SAFETY_FACTOR,
             )
         return (structure.n_modes, structure.n_modes), convergence_by_name
@@ -379,14 +379,16 @@ def add_error_parts(
     verification : Verification
         Verification to extend; stays unchanged.
     part_function_by_cause : mapping of str to callable
-        Function by cause. Each returns the part, or a text with the reason for no part.
+        Function by cause in :data:`ERROR_CAUSES`. Each returns the part, or a text with the reason
+        for no part.
     """
     for cause, find_part_or_reason in part_function_by_cause.items():
         try:
             verification = verification.with_part(cause, find_part_or_reason())
         except SINGLE_COMPUTATION_FAILURES as error:
-            run_text = VARIED_RUN_DESCRIPTION_BY_ERROR_CAUSE.get(cause, f"a run with more {cause}")
-            verification = verification.with_unknown(cause, describe_failed_run(run_text, error))
+            verification = verification.with_unknown(
+                cause, describe_failed_run(ERROR_CAUSES[cause].varied_run_text, error)
+            )
             if cause == "mesh":
                 verification = replace(verification, failed_causes=(cause,))
     return verification

@@ -71,8 +71,8 @@ class GridConvergence(Described):
         - "irregular": the values oscillate, diverge, or converge too fast to show an order,
         - "two sizes": two sizes show no order,
         - "unchanged": the values agree to rounding,
-        - "two coefficients": the values are without and with friction, and the sizes are two
-          friction coefficients, the first 0,
+        - "two parameter values": the sizes are two values of a parameter, such as a friction
+          coefficient, the answer's first; "two coefficients" in files of version 0.4,
         - "carried": both values are on the same mesh, the first at a shifted load frequency,
         - "exact orbit": the first value, taken as the limit, is from a periodic motion without
           truncated harmonics.
@@ -98,10 +98,15 @@ class GridConvergence(Described):
     def has_error_from_limit(self) -> bool:
         """True if a value's error is the distance to the extrapolated value.
 
-        For the behaviours "irregular", "carried" and "two coefficients", False: the error is then
-        the spread of all values.
+        For the behaviours "irregular", "carried" and "two parameter values", False: the error is
+        then the spread of all values.
         """
-        return self.behaviour not in ("irregular", "carried", "two coefficients")
+        return self.behaviour not in (
+            "irregular",
+            "carried",
+            "two parameter values",
+            "two coefficients",  # of version 0.4
+        )
 
     def uncertainty(self, value_index: int = 0) -> float:
         """Return a value's uncertainty F abs(f_i - f), in the value's unit.
@@ -292,8 +297,8 @@ def _find_observed_order(h: np.ndarray, f: np.ndarray) -> float:
 ErrorPart = tuple[tuple[int, ...], dict[str, GridConvergence]]
 """Part of a cause in the errors: counts in all runs, and convergence by quantity name.
 
-Counts are the runs' numbers of elements, modes, harmonics or samples, the answer's first; for
-friction the numbers of modes.
+Counts are the runs' numbers of elements, modes, harmonics or samples, the answer's first. If runs
+differ in a parameter, such as friction, counts are two equal numbers of modes or harmonics.
 """
 PartOrReason = ErrorPart | str
 """An :data:`ErrorPart`, or the reason for no part as text; "" if the cause does not apply."""

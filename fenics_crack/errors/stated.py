@@ -15,7 +15,7 @@ frequency. The causes are:
   twice the harmonics. If the report's truncation error is large, the difference may vanish by
   chance: solve with four times the harmonics, too, and take the larger error.
 - *mesh*. A coarser mesh, with the ratio r of element lengths, gives f_r and e below.
-- *friction*. See :mod:`case`.
+- *friction* and further parameters. See :mod:`case`.
 
 A coarser mesh mainly shifts the resonances. Near a resonance a small shift raises or lowers a
 number much, so differences may vanish by chance. Hence no number is extrapolated across a
@@ -71,7 +71,7 @@ from fenics_crack.balance.error_report import (
 )
 from fenics_crack.balance.more_modes import more_modes_structure_of
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.causes import REDUCED_STRUCTURE_ERROR_CAUSES
+from fenics_crack.basics.causes import REDUCED_STRUCTURE_ERROR_CAUSES, STATED_ERROR_CAUSES
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import Place, observable_names
 from fenics_crack.basics.tables import choose_frequency_factor_name_unit
@@ -122,8 +122,6 @@ from fenics_crack.study.resonance import (
     find_study_resonance,
 )
 
-ERROR_CAUSES_OF_EACH_SOLUTION = (*REDUCED_STRUCTURE_ERROR_CAUSES, "friction")
-"""Causes of error that a command estimates for each solution."""
 HARMONIC_COUNT_FACTORS = 2, 4
 """Factors on the answer's number of harmonics, for two runs to estimate the truncation error.
 
@@ -307,7 +305,7 @@ def estimate_solution_errors(
     answer: PeriodicSolution,
     *,
     is_peak: bool = False,
-    causes: Sequence[str] = ERROR_CAUSES_OF_EACH_SOLUTION,
+    causes: Sequence[str] = STATED_ERROR_CAUSES,
 ) -> Verification:
     """Estimate the expected errors of a solution's quantities by cause (collective).
 
@@ -320,7 +318,7 @@ def estimate_solution_errors(
     is_peak : bool
         True if the answer is a curve's peak over frequency, which moves with the resonance.
     causes : sequence of str
-        Causes to vary: "modes", "harmonics", "mesh", "friction".
+        Causes to vary, from :data:`STATED_ERROR_CAUSES`.
 
     Returns
     -------

@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import Any, ClassVar
 
 from fenics_crack.basics.causes import (
+    ERROR_CAUSES,
     MESH_ERROR_CAUSES,
     OPTIONAL_ERROR_CAUSES,
     REQUIRED_ERROR_CAUSES,
-    UNKNOWN_ERROR_REASON_BY_CAUSE,
 )
 from fenics_crack.basics.errors import DEFAULT_ERROR_TOLERANCE, check_choice
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
@@ -43,16 +44,8 @@ CONVERGENCE_DOUBT_BY_BEHAVIOUR = {
     "irregular": "the runs do not converge, so 3 times their spread is the error; refine further",
 }
 """Clause for each doubtful behaviour in :class:`GridConvergence`, printed in warnings."""
-LARGE_ERROR_REMEDY_BY_CAUSE = {
-    "mesh": "; use a finer mesh",
-    "modes": "; use more modes",
-    "harmonics": "; use more harmonics",
-    "samples": "; use more samples",
-}
-"""Clause by cause: remedy for an error as large as the value."""
 ERROR_SOURCE_BY_BEHAVIOUR = {
     "two sizes": "by the order of theory",
-    "two coefficients": "by runs with and without friction",
     "carried": "by runs at shifted frequencies",
     "exact orbit": "by the exact orbit",
 }
@@ -85,17 +78,18 @@ class Verification(SavableResult):
         "frequency_open_1" [Hz] or "omega_open_1" [rad/s].
     parts : dict of str to dict of str to GridConvergence
         For each cause and quantity, the values in all runs and the estimated error. Causes are
-        "mesh", "shift" (of the resonance by the mesh), "modes", "harmonics", "friction" and
-        "samples". The attribute ``sizes`` has the runs' step sizes, smallest first:
+        "mesh", "shift" (of the resonance by the mesh), "modes", "harmonics", "samples" and
+        parameters such as "friction". The attribute ``sizes`` has the runs' step sizes, smallest
+        first:
 
         - mesh, shift: side of a mean element [m]. The scene's mesh is the last, or the first if the
           second mesh is coarser.
         - modes, harmonics, samples: 1 / count. The scene's count is the last.
-        - friction: friction coefficients, 0 and the assumed coefficient. If friction already acts
-          along fixed lines: 0 and 1. The scene's own value is the first.
+        - parameters: two values, the scene's own first. For friction: friction coefficients, 0 and
+          the assumed coefficient; if friction already acts along fixed lines, 0 and 1.
     counts : dict of str to tuple of int
         Numbers of elements, modes, harmonics or samples by cause, the scene's count first. For
-        friction: the modes in both solutions.
+        parameters: two equal numbers of modes or harmonics.
     absent : dict of str to str
         For each cause that contributes nothing, the reason.
     unknown : dict of str to str
@@ -129,9 +123,10 @@ class Verification(SavableResult):
         cause : str
             Cause of error, for example "mesh".
         part_or_reason : PartOrReason
-            Counts and convergence by quantity name; or the reason for no part, as text. For "mesh"
-            and "friction" the reason is added to ``unknown``. For any further cause the reason is
-            added to ``absent``, since the cause contributes nothing. An empty text adds nothing.
+            Counts and convergence by quantity name; or the reason for no part, as text. For
+            :data:`OPTIONAL_ERROR_CAUSES` the reason is added to ``unknown``. For any further cause
+            the reason is added to ``absent``, since the cause contributes nothing. An empty text
+            adds nothing.
         """
         if not isinstance(part_or_reason, str):
             counts, convergence_by_name = part_or_reason
@@ -198,9 +193,7 @@ class Verification(SavableResult):
         The result has the cause as key and the reason as value.
         """
         return {
-            cause: UNKNOWN_ERROR_REASON_BY_CAUSE.get(
-                cause, "the run for comparison does not have this number"
-            )
+            cause: ERROR_CAUSES[cause].missing_number_reason
             for cause, convergence_by_quantity in self.parts.items()
             if quantity not in convergence_by_quantity
         }
@@ -272,8 +265,7 @@ class Verification(SavableResult):
 
             inf, if the total is as large as the quantity.
         cause : str
-            Cause with the largest error: "mesh", "modes", "harmonics", "friction" or
-            "samples". "" if the error is nan.
+            Cause with the largest error, such as "mesh". "" if the error is nan.
         """
         is_unknown = any(
             cause in self.unknown for cause in (*REQUIRED_ERROR_CAUSES, *self.failed_causes)
@@ -300,8 +292,10 @@ class Verification(SavableResult):
                 return self.unknown[cause]
         error, cause = self.stated(quantity)
         if math.isinf(error):
-            remedy_text = LARGE_ERROR_REMEDY_BY_CAUSE.get(cause, "")
-            return f"the estimate is as large as the value, mostly due to the {cause}{remedy_text}"
+            return (
+                f"the estimate is as large as the value, mostly due to the {cause}"
+                f"{ERROR_CAUSES[cause].remedy_text}"
+            )
         return ""
 
     @property
@@ -410,12 +404,11 @@ class Verification(SavableResult):
                 for run_number in (1, 2, 3)
             }
             row |= {f"count_{run_number}": count for run_number, count in enumerate(counts, 1)}
-            value_by_count = dict(
-                zip(sorted(counts, reverse=True), convergence.values, strict=True)
-            )
+            # Values are in the order of the smallest size; equal counts keep the order of runs.
+            runs_by_size = sorted(enumerate(counts, 1), key=itemgetter(1), reverse=True)
             row |= {
-                f"value_{run_number}": value_by_count[count]
-                for run_number, count in enumerate(counts, 1)
+                f"value_{run_number}": value
+                for (run_number, _), value in zip(runs_by_size, convergence.values, strict=True)
             }
             convergence_attribute_names = "order", "exponent", "factor", "extrapolated"
             row |= {key: getattr(convergence, key) for key in convergence_attribute_names} | {
@@ -620,7 +613,8 @@ class Verification(SavableResult):
         order_text = (
             f"observed order {largest_convergence.order:.2g}"
             if math.isfinite(largest_convergence.order)
-            else ERROR_SOURCE_BY_BEHAVIOUR.get(largest_convergence.behaviour, "no observed order")
+            else ERROR_CAUSES[largest_cause].parameter_runs_text
+            or ERROR_SOURCE_BY_BEHAVIOUR.get(largest_convergence.behaviour, "no observed order")
         )
         return (
             f"{quantity_and_value_text} +- {total_text} (sum of all: {sum_text}), mostly due to "

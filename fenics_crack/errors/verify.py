@@ -31,6 +31,7 @@ from typing import Any
 from mpi4py import MPI
 
 from fenics_crack.balance.contact_integrals import default_instants_per_period
+from fenics_crack.basics.causes import ERROR_CAUSES, MESH_ERROR_CAUSES
 from fenics_crack.basics.errors import MAX_CONTACT_SAMPLES_PER_PERIOD, ConvergenceError
 from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.errors.case import (
@@ -133,11 +134,11 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     verification = Verification(unreduced_study.scene, numbers.values_by_name, numbers.unit_by_name)
     verification = add_error_parts(verification, {"mesh": judged_answer.estimate_error_by_mesh})
     part_function_by_cause: dict[str, Callable[[], PartOrReason]] = {
-        "shift": partial(judged_answer.estimate_error_by_resonance_shift, verification),
-        "modes": judged_answer.estimate_error_by_modes,
-        "harmonics": judged_answer.estimate_error_by_harmonics,
-        "samples": judged_answer.estimate_error_by_samples,
-        "friction": judged_answer.estimate_error_by_friction,
+        "shift": partial(judged_answer.estimate_error_by_resonance_shift, verification)
+    } | {
+        cause: getattr(judged_answer, f"estimate_error_by_{cause}")
+        for cause in ERROR_CAUSES
+        if cause not in MESH_ERROR_CAUSES
     }
     verification = add_error_parts(verification, part_function_by_cause)
     return replace(

@@ -24,6 +24,7 @@ from typing import Any, ClassVar
 import numpy as np
 from mpi4py import MPI
 
+from fenics_crack.basics.causes import REDUCED_STRUCTURE_ERROR_CAUSES
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import ObservableTableFlag, Place, observable_names
 from fenics_crack.basics.ranks import on_root
@@ -38,7 +39,7 @@ from fenics_crack.basics.tables import (
     format_quantity,
     hertz_property,
 )
-from fenics_crack.errors.stated import ERROR_CAUSES_OF_EACH_SOLUTION, estimate_solution_errors
+from fenics_crack.errors.stated import estimate_solution_errors
 from fenics_crack.fatigue.ellipse import (
     EQUIVALENT_RANGE_COLUMN_NAMES,
     N_ELLIPSE_SIZES_PER_AXIS,
@@ -722,7 +723,7 @@ def _estimate_range_error_and_remarks(
 ) -> tuple[float, list[str]]:
     """Solve a crack size, and estimate the relative error of a range of K_I.
 
-    Errors by friction are not estimated.
+    Errors by friction and by further parameters are not estimated.
 
     Parameters
     ----------
@@ -744,12 +745,9 @@ def _estimate_range_error_and_remarks(
         A remark on causes without an estimate; empty if all have one.
     """
     solved_run = solve(_make_scene_with_crack_size(scene, omega, length, depth), MPI.COMM_SELF)
-    cause_names = [
-        cause_name for cause_name in ERROR_CAUSES_OF_EACH_SOLUTION if cause_name != "friction"
-    ]
     is_at_peak = scene.given("growth").drive == "resonance"
     error_statement = estimate_solution_errors(
-        solved_run, solved_run.result, is_peak=is_at_peak, causes=cause_names
+        solved_run, solved_run.result, is_peak=is_at_peak, causes=REDUCED_STRUCTURE_ERROR_CAUSES
     )
     missing_error_remarks = (
         [f"error of the vibration: {error_statement.omitted_causes_and_reasons_text}"]

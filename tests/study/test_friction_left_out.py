@@ -137,6 +137,18 @@ def test_where_it_is_silent() -> None:
     assert matrices is not None and "single plates and solids only" in matrices.unknown["friction"]
 
 
+@pytest.mark.parametrize("behaviour", ["two parameter values", "two coefficients"])
+def test_values_of_runs_with_equal_counts(behaviour: str) -> None:
+    """The table has the answer's value first; files of version 0.4 have the second behaviour."""
+    convergence = fc.GridConvergence((0.0, 0.3), (1.0, 0.9), behaviour, factor=2.0)
+    errors = fc.Verification(FEW, {"amplitude": 1.0}, {"amplitude": "m"})
+    errors = errors.with_part("friction", ((20, 20), {"amplitude": convergence}))
+    rows = errors.to_dict()
+    assert (rows["value_1"][0], rows["value_2"][0]) == (1.0, 0.9)
+    assert rows["uncertainty"][0] == pytest.approx(0.2)
+    assert "mostly due to the friction, by runs with and without friction" in errors.statement[0]
+
+
 def test_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """It names friction above the tolerance only; a search that fails is said."""
     from fenics_crack.runs.conclusion import make_conclusion
