@@ -315,7 +315,7 @@ class Sample:
 
     Attributes
     ----------
-    angles : (g,) [rad]
+    arrival_rotor_angles : (g,) [rad]
         Rotor angles when the displaced blade tip passes the probes.
     """
 
@@ -331,7 +331,7 @@ class Sample:
         self.displacements = displacements
         self.covariance_degrees_of_freedom = covariance_degrees_of_freedom
         self._tip_radius = tip_radius
-        self.angles = rotor_angles_without_vibration - displacements / tip_radius
+        self.arrival_rotor_angles = rotor_angles_without_vibration - displacements / tip_radius
         self.covariance = covariance
         # The error of a probe's angle is common to all means of the probe: nearly singular.
         self._covariance_cholesky_factor = np.linalg.cholesky(
@@ -345,7 +345,7 @@ class Sample:
         determine the coefficients. Also None if the fitted vibration is so fast that the blade tip
         would move backwards past the probe.
         """
-        wave_columns = fourier_basis(order * self.angles, multiples)
+        wave_columns = fourier_basis(order * self.arrival_rotor_angles, multiples)
         nominal_columns = fourier_basis(order * self.rotor_angles_without_vibration, multiples)
         if np.isinf(condition_number(nominal_columns)) or np.isinf(condition_number(wave_columns)):
             return None
@@ -425,7 +425,7 @@ class Sample:
             New coefficients and covariance, with the errors by omitted harmonics.
         """
         costs, fits_by_omitted_size = self.list_refits_by_harmonic_size(
-            fit, self._list_omitted_harmonic_sizes(fit)
+            fit, self._list_omitted_harmonic_deviations(fit)
         )
         best_index = int(np.argmin(costs))
         return float(costs[best_index]), fits_by_omitted_size[best_index]
@@ -445,7 +445,7 @@ class Sample:
         fits : list of OrderFit
             Fit for each size.
         """
-        costs, *estimate_arrays = self._solve_with_omitted_harmonics(
+        costs, *estimate_arrays = self._refit_with_omitted_harmonics(
             fit, np.repeat(omitted_sizes[:, None], N_OMITTED_HARMONICS_TO_FOLD, axis=1)
         )
         return costs, [
@@ -470,10 +470,12 @@ class Sample:
             return np.nan
         harmonic_sizes_by_trial = np.array(
             list(
-                product(self._list_omitted_harmonic_sizes(fit), repeat=N_OMITTED_HARMONICS_TO_FOLD)
+                product(
+                    self._list_omitted_harmonic_deviations(fit), repeat=N_OMITTED_HARMONICS_TO_FOLD
+                )
             )
         )
-        costs, *estimate_arrays, _ = self._solve_with_omitted_harmonics(
+        costs, *estimate_arrays, _ = self._refit_with_omitted_harmonics(
             fit, harmonic_sizes_by_trial
         )
         trial_likelihoods = np.exp(0.5 * (costs.min() - costs))
@@ -501,17 +503,19 @@ class Sample:
             / trial_likelihoods.sum()
         )
 
-    def _list_omitted_harmonic_sizes(self, fit: OrderFit) -> np.ndarray:
+    def _list_omitted_harmonic_deviations(self, fit: OrderFit) -> np.ndarray:
         """Return trial standard deviations (n,) [m] of an omitted harmonic's coefficients.
 
         They are :data:`TRIAL_OMITTED_HARMONIC_RATIOS` times the amplitude of the highest fitted
-        harmonic. Values above :attr:`max_allowed_omitted_size` are left out.
+        harmonic. Values above :attr:`max_trial_deviation_for_accuracy` are left out.
         """
-        omitted_sizes = np.hypot(*fit.coefficients[-2:]) * TRIAL_OMITTED_HARMONIC_RATIOS
-        return np.asarray(omitted_sizes[omitted_sizes < self.max_allowed_omitted_size])
+        trial_deviations = np.hypot(*fit.coefficients[-2:]) * TRIAL_OMITTED_HARMONIC_RATIOS
+        return np.asarray(
+            trial_deviations[trial_deviations < self.max_trial_deviation_for_accuracy]
+        )
 
     @property
-    def max_allowed_omitted_size(self) -> float:
+    def max_trial_deviation_for_accuracy(self) -> float:
         """Maximum trial size [m] of harmonics above the fitted ones.
 
         The trial size is the assumed standard deviation of a harmonic's coefficients. The
@@ -523,7 +527,7 @@ class Sample:
             / np.sqrt(MAX_DEPENDENT_EIGENVALUE_RATIO)
         )
 
-    def _solve_with_omitted_harmonics(
+    def _refit_with_omitted_harmonics(
         self, fit: OrderFit, harmonic_sizes_by_trial: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Repeat a fit with omitted harmonics as further unknowns, in n trials.
@@ -551,7 +555,7 @@ class Sample:
             1.0, N_OMITTED_HARMONICS_TO_FOLD + 1.0
         )
         wave_columns = fourier_basis(
-            fit.order * self.angles, np.append(multiples, omitted_multiples)
+            fit.order * self.arrival_rotor_angles, np.append(multiples, omitted_multiples)
         )
         log_gram_determinant = np.linalg.slogdet(
             wave_columns[:, :n_unknowns].T @ wave_columns[:, :n_unknowns]
@@ -733,7 +737,9 @@ class ProbeMeans(Sample):
             arrival.
         """
         rotor_angles_at_means = np.full(arrivals.time.shape, np.nan)
-        rotor_angles_at_means[np.isfinite(arrivals.time)] = self.angles[self._group_indices]
+        rotor_angles_at_means[np.isfinite(arrivals.time)] = self.arrival_rotor_angles[
+            self._group_indices
+        ]
         spectral_line_motion = sum(
             spectral_line_fit.displacement(spectral_line_fit.angles_at_arrivals(arrivals))
             - spectral_line_fit.coefficients[0]
@@ -769,18 +775,18 @@ class ProbeMeans(Sample):
         wave_columns, whitened_wave = self._whiten_columns_and_values(
             wave_columns, wave, np.ones(len(wave))
         )
-        residuals = (
+        wave_residuals = (
             whitened_wave
             - wave_columns @ np.linalg.lstsq(wave_columns, whitened_wave, rcond=1e-10)[0]
         )
-        return float(residuals @ residuals)
+        return float(wave_residuals @ wave_residuals)
 
     def compute_rms_residual(self, order: float, multiples: np.ndarray) -> float:
         """Return the root mean square residual of all arrivals for an order [m].
 
         The order, with harmonics ``multiples`` (K,), is fitted to the means without weights.
         """
-        wave_columns = fourier_basis(order * self.angles, multiples)
+        wave_columns = fourier_basis(order * self.arrival_rotor_angles, multiples)
         coefficients = np.linalg.lstsq(wave_columns, self.displacements, rcond=1e-10)[0]
         residuals = self._arrival_displacements - (wave_columns @ coefficients)[self._group_indices]
         return float(np.sqrt(np.mean(residuals**2)))

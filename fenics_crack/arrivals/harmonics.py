@@ -114,7 +114,9 @@ class HarmonicFit(Tabular):
         return [folding_text] * self.may_contain_aliased_harmonics
 
 
-@keep_old_attribute_names(ambiguous="ambiguous_orders", phases="angles_at_arrivals")
+@keep_old_attribute_names(
+    ratio="ratio_and_error", ambiguous="ambiguous_orders", phases="angles_at_arrivals"
+)
 @dataclass(frozen=True, repr=False)
 class TipFit(HarmonicFit):
     """Hold a periodic vibration fitted to arrival times.
@@ -225,7 +227,7 @@ class TipFit(HarmonicFit):
         """
         return self.spare > 0 and bool(np.isnan(self.misfit)) and not self.order_error
 
-    def ratio(self, multiple: float = 2.0) -> tuple[float, float]:
+    def ratio_and_error(self, multiple: float = 2.0) -> tuple[float, float]:
         """Return the ratio of a harmonic's amplitude to the first, and its standard error.
 
         ``multiple`` is the harmonic's frequency over the load's frequency. A breathing crack has a

@@ -367,7 +367,7 @@ class Resonance:
                     and mode not in fit_by_mode
                 ):
                     fit_by_mode[mode] = Fit(runs, [mode], weights_of_runs)
-            self.best_fit = min(fit_by_mode.values(), key=lambda fit: fit.noise.cost)
+            self.best_fit = min(fit_by_mode.values(), key=lambda fit: fit.noise_model.cost)
             if is_last_round:
                 break
             weights_of_runs = self.best_fit.weights
@@ -539,7 +539,7 @@ class Resonance:
                 )
                 if modes not in fit_by_modes:
                     fit_by_modes[modes] = Fit(runs, modes, weights_of_runs)
-            best_fit = min(fit_by_modes.values(), key=lambda fit: fit.noise.cost)
+            best_fit = min(fit_by_modes.values(), key=lambda fit: fit.noise_model.cost)
             if best_fit is best_fit_of_previous_round:
                 break
         for index_in_resonance_pair, pair_member in enumerate(resonance_pair):
@@ -639,7 +639,7 @@ class Resonance:
                 [margin_by_order[compared_order] for compared_order in compared_orders]
             ),
             probes=max(run.n_probes for run in runs),
-            scatter=float(np.sqrt(best_fit.noise.equivalent_normal_variance)),
+            scatter=float(np.sqrt(best_fit.noise_model.equivalent_normal_variance)),
             whiteness=best_fit.whiteness_p_value,
             asynchronous=line_fits,
             blind=(),
@@ -794,8 +794,11 @@ def _compute_margin_by_order(
     """
     max_gain = max(gain_by_order.values())
     margin_by_order = {
-        order: (max_gain - gain) / best_fit.noise.scale**2 for order, gain in gain_by_order.items()
+        order: (max_gain - gain) / best_fit.noise_model.scale**2
+        for order, gain in gain_by_order.items()
     }
-    for fit in sorted(fits, key=lambda fit: -fit.noise.cost):
-        margin_by_order[fit.modes[mode_index].order] = fit.noise.cost - best_fit.noise.cost
+    for fit in sorted(fits, key=lambda fit: -fit.noise_model.cost):
+        margin_by_order[fit.modes[mode_index].order] = (
+            fit.noise_model.cost - best_fit.noise_model.cost
+        )
     return margin_by_order

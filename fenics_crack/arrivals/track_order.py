@@ -447,7 +447,7 @@ def _refit_groups_with_higher_harmonics(
             fit,
             np.minimum(
                 np.linalg.norm(fit.coefficients[1:]) * TRIAL_OMITTED_HARMONIC_RATIOS,
-                sample.max_allowed_omitted_size,
+                sample.max_trial_deviation_for_accuracy,
             ),
         )
         for sample, fit in sample_fit_by_group.values()

@@ -480,7 +480,7 @@ class Fit:
         Fitted modes.
     forces : (modes, runs) complex [m]
         Load amplitude F on each mode in each run.
-    noise : StudentNoise
+    noise_model : StudentNoise
         Residuals of all arrivals, and their weights.
     """
 
@@ -494,7 +494,7 @@ class Fit:
             [run_weights[run.has_arrival] for run, run_weights in zip(runs, weights, strict=True)]
         )
         n_unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.n_probes for run in runs)
-        self.noise = fit_noise_by_reweighting(
+        self.noise_model = fit_noise_by_reweighting(
             self._refit_modes_and_return_residuals,
             initial_weights,
             n_unknowns,
@@ -627,8 +627,8 @@ class Fit:
     @cached_property
     def omega_and_damping_errors(self) -> np.ndarray:
         """Standard errors of the first mode: natural frequency [rad/s] and damping ratio, (2,)."""
-        unweighted_slopes = self._slopes / np.sqrt(self.noise.weights)[:, None]
-        covariance = self.noise.coefficient_covariance(
+        unweighted_slopes = self._slopes / np.sqrt(self.noise_model.weights)[:, None]
+        covariance = self.noise_model.coefficient_covariance(
             unweighted_slopes, self.revolutions_and_probes
         )
         return np.sqrt(np.diag(covariance)[:2]) * [
@@ -693,14 +693,14 @@ class Fit:
             np.eye(len(mark_numbers)),
             self._runs[0].rotor_angles_without_vibration[0] / RAD_PER_TURN % 1.0,
         ).T
-        return self.noise.compute_whiteness_p_value(
+        return self.noise_model.compute_whiteness_p_value(
             self.revolutions_and_probes, arrival_shift_per_mark_error
         )
 
     @property
     def weights(self) -> list[np.ndarray]:
         """Arrival weights in each run: (R, P), 0 without an arrival."""
-        return self._split_by_run(self.noise.weights)
+        return self._split_by_run(self.noise_model.weights)
 
     @property
     def blind_probe_indices(self) -> np.ndarray:
@@ -717,7 +717,7 @@ class Fit:
         """
         n_probes = self._runs[0].rotor_angles_without_vibration.shape[1]
         matrices, right_hand_sides = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))
-        amplitude_over_median_ratios = np.ones(n_probes)
+        factor_over_median_ratios = np.ones(n_probes)
         for run, complex_force, run_weights in zip(
             self._runs, self.forces[0], self.weights, strict=True
         ):
@@ -729,17 +729,17 @@ class Fit:
                 right_hand_sides + run_equations[1],
             )
         has_motion = matrices.any(axis=(1, 2))
-        probe_amplitudes = np.linalg.solve(
+        complex_factor_parts_of_probes = np.linalg.solve(
             matrices[has_motion], right_hand_sides[has_motion, :, None]
         )[..., 0]
-        amplitude_over_median_ratios[has_motion] = np.hypot(*probe_amplitudes.T) / np.median(
-            probe_amplitudes[:, 0]
-        )
+        factor_over_median_ratios[has_motion] = np.hypot(
+            *complex_factor_parts_of_probes.T
+        ) / np.median(complex_factor_parts_of_probes[:, 0])
         # Measured: of 200 records with 4 to 8 probes, and a second mode within the width, one had
         # a probe that fulfils these conditions.
-        has_small_ratio, amplitude_ratio_offsets_from_one = (
-            amplitude_over_median_ratios < 0.5,
-            np.abs(amplitude_over_median_ratios - 1.0),
+        has_small_ratio, factor_ratio_offsets_from_one = (
+            factor_over_median_ratios < 0.5,
+            np.abs(factor_over_median_ratios - 1.0),
         )
         if (
             not 0
@@ -750,8 +750,8 @@ class Fit:
         return np.flatnonzero(
             has_small_ratio
             & (
-                amplitude_ratio_offsets_from_one[has_small_ratio].min()
-                > 5.0 * amplitude_ratio_offsets_from_one[~has_small_ratio].max()
+                factor_ratio_offsets_from_one[has_small_ratio].min()
+                > 5.0 * factor_ratio_offsets_from_one[~has_small_ratio].max()
             )
         )
 
@@ -767,8 +767,8 @@ class Fit:
             ]
             return np.asarray(np.concatenate(run_residuals) / np.sqrt(weights))
 
-        n_drift_unknowns = self.noise.n_unknowns - 2 * len(self.modes) * (1 + len(self._runs))
+        n_drift_unknowns = self.noise_model.n_unknowns - 2 * len(self.modes) * (1 + len(self._runs))
         noise_without_modes = fit_noise_by_reweighting(
-            solve, self.noise.weights, n_drift_unknowns, self._runs[0].displacement_rounding
+            solve, self.noise_model.weights, n_drift_unknowns, self._runs[0].displacement_rounding
         )
-        return noise_without_modes.cost - self.noise.cost
+        return noise_without_modes.cost - self.noise_model.cost

@@ -38,7 +38,7 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.motion.attractors import Attractor, find_irregular_motion
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_none
 from fenics_crack.motion.orbit import (
-    MAX_SEARCH_PERIODS,
+    MAX_PERIODS_IN_NEWTON_SEARCH,
     OrbitPrediction,
     PeriodicOrbit,
     find_orbit,
@@ -410,7 +410,7 @@ class Assessment:
         assert wave.contact is not None
         flow = exact_flow_or_none(more_modes_structure, wave.contact)
         is_searchable = flow is not None and is_orbit_search_affordable(
-            flow, wave.omega, wave.subharmonic, MAX_SEARCH_PERIODS
+            flow, wave.omega, wave.subharmonic, MAX_PERIODS_IN_NEWTON_SEARCH
         )
         if flow is None or not is_searchable or self.nearest_orbit is None:
             return None

@@ -41,7 +41,7 @@ from fenics_crack.balance.contact_system import (
     PeriodicMotion,
 )
 from fenics_crack.balance.problem import Problem, Search
-from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.balance.solution import HarmonicBalanceSolver, PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.machine import machine_memory
 from fenics_crack.basics.progress import begin_stage
@@ -115,10 +115,10 @@ class BlockSystem(Snes):
         linear_coo = self._linear_jacobian_rows(problem.base_omega)
         n_pairs, n_fourier_coefficients = structure.n_pairs, len(linear_displacement)
         global_gap = sparse.vstack(structure.comm.allgather(structure.gap))
-        self._pair_force_matrix = sparse.kron(
+        self._pair_to_dof_force_matrix = sparse.kron(
             sparse.identity(n_fourier_coefficients), structure.gap, "csr"
         )
-        self._gap_matrix_without_static_part = self._group_columns_by_rank(
+        self._gap_matrix_without_fast_modes = self._group_columns_by_rank(
             sparse.kron(sparse.identity(n_fourier_coefficients), global_gap.T), linear_coo.shape[1]
         )
         self._gap_at_zero_unknown = structure.gap_of(np.zeros(linear_displacement.shape))
@@ -129,7 +129,7 @@ class BlockSystem(Snes):
             linear_csr = linear_coo.tocsr()[: linear_displacement.size] * (
                 self.force_unit / self.length_unit
             )
-            self._gap_matrix_without_static_part -= (
+            self._gap_matrix_without_fast_modes -= (
                 sparse.kron(
                     sparse.identity(n_fourier_coefficients), static_displacement_per_pair_force.T
                 )
@@ -152,9 +152,9 @@ class BlockSystem(Snes):
             (n_fourier_coefficients * n_pairs,) * 2,
         )
         contact_pattern = (
-            abs(self._pair_force_matrix)
+            abs(self._pair_to_dof_force_matrix)
             @ tangent_pattern
-            @ abs(self._gap_matrix_without_static_part)
+            @ abs(self._gap_matrix_without_fast_modes)
         ).tocoo()  # absolute values do not cancel: no entry is missed
         entry_values = np.append(linear_coo.data, 0.0 * contact_pattern.data)
         entry_row_and_column_indices = (np.append(linear_coo.row, contact_pattern.row),
@@ -164,7 +164,7 @@ class BlockSystem(Snes):
             structure.comm,
         )
         self._linear_matrix = jacobian.duplicate(copy=True)
-        self._rank_gap_matrix_without_static_part = self._gap_matrix_without_static_part[
+        self._rank_gap_matrix_without_fast_modes = self._gap_matrix_without_fast_modes[
             :, slice(*jacobian.getOwnershipRange())
         ]
         self.rounding = residual_rounding(10.0 * jacobian.norm() / math.sqrt(linear_coo.shape[1]))
@@ -263,12 +263,12 @@ class BlockSystem(Snes):
         B takes contact forces to the dofs, and u is the displacement. s is the slow gap: gap plus
         residual flexibility times contact force. T = ``tangent`` is the forces' derivative by s.
         """
-        n_gap_coefficients = self._pair_force_matrix.shape[1]
+        n_gap_coefficients = self._pair_to_dof_force_matrix.shape[1]
         sparse_tangent = sparse.csr_matrix(
             (tangent.ravel(), self._tangent_entry_indices), (n_gap_coefficients, n_gap_coefficients)
         )
         return sparse.csr_matrix(
-            self._pair_force_matrix @ sparse_tangent @ self._gap_matrix_without_static_part
+            self._pair_to_dof_force_matrix @ sparse_tangent @ self._gap_matrix_without_fast_modes
         )
 
     def _set_linear_solver_type(self, solver: Any) -> None:
@@ -289,7 +289,7 @@ class BlockSystem(Snes):
         The slow gap is the gap plus residual flexibility times contact force.
         """
         scaled_gap = self.structure.sum_over_ranks(
-            self._rank_gap_matrix_without_static_part @ unknown
+            self._rank_gap_matrix_without_fast_modes @ unknown
         )
         return self._gap_at_zero_unknown + self.length_unit * scaled_gap.reshape(
             self._gap_at_zero_unknown.shape
@@ -377,7 +377,7 @@ class BlockSystem(Snes):
 
 
 @dataclass(frozen=True)
-class BlockSolver(Solver):
+class BlockSolver(HarmonicBalanceSolver):
     """Solver for all displacement coefficients at once, by PETSc's SNES.
 
     Its block system has a block row for each harmonic: dynamic stiffness times displacement plus
@@ -536,5 +536,8 @@ def _solve_with_growing_stiffness(
     return displacement, reached_factor
 
 
-BALANCE_SOLVER_CLASS_BY_FORM: dict[str, type[Solver]] = {"condensed": Solver, "block": BlockSolver}
+BALANCE_SOLVER_CLASS_BY_FORM: dict[str, type[HarmonicBalanceSolver]] = {
+    "condensed": HarmonicBalanceSolver,
+    "block": BlockSolver,
+}
 """Solver class for each ``form`` of :func:`solve_harmonic_balance`."""

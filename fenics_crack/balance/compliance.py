@@ -129,7 +129,7 @@ class FactorisedDynamicStiffness:
                 out=np.zeros_like(modal_dynamic_stiffness),
                 where=~is_near,
             )
-            self._damped_minus_factored_receptance = (
+            self._damped_minus_factored_modal_receptances = (
                 1.0 / (modal_dynamic_stiffness + 1j * omega * self._damped_modes.damping_rates)
                 - undamped_modal_receptance
             )
@@ -175,7 +175,8 @@ class FactorisedDynamicStiffness:
         modal_forces = self.structure.sum_over_ranks(dof_forces @ self._damped_modes.shapes)
         return (
             displacement_rows
-            + (modal_forces * self._damped_minus_factored_receptance) @ self._damped_modes.shapes.T
+            + (modal_forces * self._damped_minus_factored_modal_receptances)
+            @ self._damped_modes.shapes.T
         )
 
     def pair_compliance_matrix(self) -> np.ndarray:
@@ -266,15 +267,15 @@ class ModalCompliance:
             else None
         )
         self._harmonic_orders = np.arange(len(load_rows) // 2 + 1.0)
-        self._given_modal_load = to_complex(load_rows @ self._all_modes.shapes)
+        self._unscaled_modal_load = to_complex(load_rows @ self._all_modes.shapes)
         self.gap_shape: tuple[int, ...] = len(load_rows), structure.n_pairs
         self._massless_displacement_by_given_load, self._massless_gap_by_given_load = (
             None,
             np.zeros(self.gap_shape),
         )
-        if self._all_modes.massless_flexibility is not None:
+        if self._all_modes.massless_displacement_by_dof_forces is not None:
             self._massless_displacement_by_given_load = (
-                load_rows @ self._all_modes.massless_flexibility
+                load_rows @ self._all_modes.massless_displacement_by_dof_forces
             )
             self._massless_gap_by_given_load = structure.apply_bt(
                 self._massless_displacement_by_given_load
@@ -296,11 +297,11 @@ class ModalCompliance:
             Clearance added to every pair.
         """
         self._base_omega, self._damping_factor = base_omega, damping_factor
-        is_mode_loaded = self._given_modal_load != 0.0
+        is_mode_loaded = self._unscaled_modal_load != 0.0
         self._receptance = self._all_modes.modal_receptances(
             base_omega * self._harmonic_orders, damping_factor, is_mode_loaded
         )
-        self._modal_load = load_factor * self._given_modal_load
+        self._modal_load = load_factor * self._unscaled_modal_load
         self._load_factor = load_factor
         self.gap_without_modes = load_factor * self._massless_gap_by_given_load
         self.gap_without_modes[0] -= self._pair_clearances + added_clearance
@@ -364,7 +365,7 @@ class ModalCompliance:
         ``contact_force`` has the coefficients (2H+1, n_pairs) [N].
         """
         displacement_of_modes = from_complex(
-            -self._negative_modal_displacement(contact_force) @ self._all_modes.shapes.T
+            -self._negative_modal_displacement_with_load(contact_force) @ self._all_modes.shapes.T
         )
         return (
             displacement_of_modes
@@ -391,7 +392,7 @@ class ModalCompliance:
         """
         modes = self._all_modes
         omega_by_harmonic_and_base = np.multiply.outer(self._harmonic_orders, base_omegas)
-        is_mode_loaded = np.repeat(self._given_modal_load != 0.0, len(base_omegas), axis=0)
+        is_mode_loaded = np.repeat(self._unscaled_modal_load != 0.0, len(base_omegas), axis=0)
         modal_receptance = modes.modal_receptances(
             omega_by_harmonic_and_base.ravel(), self._damping_factor, is_mode_loaded
         )
@@ -425,7 +426,7 @@ class ModalCompliance:
             Contact force coefficients.
         """
         displacement_of_modes = from_complex(
-            -self._negative_modal_displacement(contact_force)
+            -self._negative_modal_displacement_with_load(contact_force)
             @ (selection_rows @ self._all_modes.shapes).T
         )
         return (
@@ -508,7 +509,7 @@ class ModalCompliance:
             "modal_damping": require_shape(modes.damping, n_modes),
             "shapes": require_shape(modes.gaps_by_mode, n_modes, self.gap_shape[1]),
             "load": require_shape(
-                self._load_factor * self._given_modal_load,
+                self._load_factor * self._unscaled_modal_load,
                 len(self._harmonic_orders),
                 n_modes,
                 kind=complex,
@@ -546,10 +547,10 @@ class ModalCompliance:
             clearance_derivative[0] = 1.0
             return clearance_derivative
         if parameter_name == "load":
-            return -self._gap_response(self._given_modal_load) - self._massless_gap_by_given_load
+            return -self._gap_response(self._unscaled_modal_load) - self._massless_gap_by_given_load
         if parameter_name == "damping":
             damping_force_per_omega = 1j * self._all_modes.damping_force(
-                self._negative_modal_displacement(contact_force)
+                self._negative_modal_displacement_with_load(contact_force)
             )
             return -self._gap_response(self._base_omega * harmonic_orders * damping_force_per_omega)
         return from_complex(
@@ -585,7 +586,7 @@ class ModalCompliance:
         (H+1, n_modes) has complex ones.
         """
         harmonic_orders = self._harmonic_orders[:, None]
-        negative_modal_displacement = self._negative_modal_displacement(contact_force)
+        negative_modal_displacement = self._negative_modal_displacement_with_load(contact_force)
         damping_force_per_omega = (
             1j * self._damping_factor * self._all_modes.damping_force(negative_modal_displacement)
         )
@@ -605,7 +606,7 @@ class ModalCompliance:
             @ self._all_modes.gaps_by_mode
         )
 
-    def _negative_modal_displacement(self, contact_force: np.ndarray) -> np.ndarray:
+    def _negative_modal_displacement_with_load(self, contact_force: np.ndarray) -> np.ndarray:
         """Return -q, with the modal displacements q under load and contact forces.
 
         ``contact_force`` (2H+1, n_pairs) [N] has real Fourier coefficients, the result (H+1,
@@ -647,13 +648,13 @@ class FactoredCompliance:
     def __init__(self, structure: Structure, base_omega: float, load_rows: np.ndarray) -> None:
         self.structure, self.load = structure, load_rows
         self._base_omega, harmonic_orders = base_omega, range(len(load_rows) // 2 + 1)
-        self._stiffness_by_harmonic = [
+        self._factorised_stiffness_by_harmonic = [
             FactorisedDynamicStiffness(structure, k * base_omega) for k in harmonic_orders
         ]
         compliance_matrices = np.array(
             [
                 dynamic_stiffness.pair_compliance_matrix()
-                for dynamic_stiffness in self._stiffness_by_harmonic
+                for dynamic_stiffness in self._factorised_stiffness_by_harmonic
             ],
             dtype=complex,
         )
@@ -711,14 +712,14 @@ class FactoredCompliance:
                 complex_dof_forces.real[None] if k == 0 else complex_dof_forces[None]
             )[0]
             for k, (dynamic_stiffness, complex_dof_forces) in enumerate(
-                zip(self._stiffness_by_harmonic, to_complex(dof_force_rows), strict=True)
+                zip(self._factorised_stiffness_by_harmonic, to_complex(dof_force_rows), strict=True)
             )
         ]
         return from_complex(np.array(complex_displacements, dtype=complex))
 
     def destroy(self) -> None:
         """Free the factors (collective)."""
-        for dynamic_stiffness in self._stiffness_by_harmonic:
+        for dynamic_stiffness in self._factorised_stiffness_by_harmonic:
             dynamic_stiffness.destroy()
         collect_garbage(self.structure.comm)
 
@@ -770,17 +771,19 @@ def _omegas_damping_rates_and_gap_shapes(
         Gaps of the mass-normalised modes.
     """
     modes_of_damping, n_modes = modes_with_modal_damping(structure), min(20, structure.n_dofs)
-    available_modes = (
+    known_or_solved_modes = (
         modes_of_damping
         if modes_of_damping and len(modes_of_damping.omega) >= n_modes
         else solve_modes(structure, n_modes)
     )
-    modal_damping_rates = np.diag(project_damping_on_columns(structure, available_modes.shapes))
-    is_elastic = available_modes.omega > 0.0  # the lowest may be lost in rounding
+    modal_damping_rates = np.diag(
+        project_damping_on_columns(structure, known_or_solved_modes.shapes)
+    )
+    is_elastic = known_or_solved_modes.omega > 0.0  # the lowest may be lost in rounding
     return (
-        available_modes.omega[is_elastic],
+        known_or_solved_modes.omega[is_elastic],
         modal_damping_rates[is_elastic],
-        structure.apply_bt(available_modes.shapes.T)[is_elastic],
+        structure.apply_bt(known_or_solved_modes.shapes.T)[is_elastic],
     )
 
 

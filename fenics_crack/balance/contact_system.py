@@ -46,7 +46,7 @@ import numpy as np
 from fenics_crack.balance.compliance import ComplianceModel, resized_compliance_model
 from fenics_crack.balance.contact_integrals import ContactIntegrals, multiply_compliance_and_force
 from fenics_crack.balance.friction_integrals import (
-    FrictionForces,
+    ContactAndFrictionForces,
     FrictionIntegrals,
     integrals_with_coupled_pairs,
 )
@@ -309,7 +309,7 @@ class ContactSystem:
             lambda point: multiply_compliance_and_force(
                 self.dynamic_less_static_compliance,
                 softness_derivative_by_parameter
-                * point.linearised_forces.series_softness_derivative(),
+                * point.forces_with_derivatives.series_softness_derivative(),
             ),
         )
 
@@ -396,7 +396,7 @@ class SystemAlongFrictionFactor(ContactSystem):
         force. ``parameter`` is the factor; below 0 it counts as 0.
         """
         assert isinstance(self.integrals, FrictionIntegrals)
-        integrals = replace(self.integrals, friction_scale=max(parameter, 0.0))
+        integrals = replace(self.integrals, friction_coefficient_factor=max(parameter, 0.0))
         return ContactPoint(self, unknown, integrals, residual_friction_scale_derivative)
 
 
@@ -417,8 +417,8 @@ class ContactPoint(DenseLinearisation):
         self.system = system
         self.unknown = unknown
         self._residual_derivative_by_parameter_function = residual_derivative_by_parameter_function
-        self.linearised_forces = integrals.linearise(unknown)
-        self.force = self.linearised_forces.force
+        self.forces_with_derivatives = integrals.linearise(unknown)
+        self.force = self.forces_with_derivatives.force
         """Coefficients of the contact force: (2H+1, n_rows) [N]."""
         self.gap = system.gap(unknown, self.force)
         """Coefficients of the gap: (2H+1, n_rows) [m]."""
@@ -445,21 +445,22 @@ class ContactPoint(DenseLinearisation):
         R is the dynamic compliance, and R_inf the residual flexibility. T is the forces' derivative
         by the slow gap: gap plus residual flexibility times contact force.
         """
-        return self.linearised_forces.identity_plus_compliance_tangent(
+        return self.forces_with_derivatives.identity_plus_compliance_tangent(
             self.system.dynamic_less_static_compliance
         )
 
     def matrix_to_factorise(self) -> np.ndarray:
         system = self.system
         if system.reachable_gap_basis is not None:
-            return self.linearised_forces.identity_plus_compliance_tangent(
+            return self.forces_with_derivatives.identity_plus_compliance_tangent(
                 system.dynamic_less_static_compliance_in_basis, system.reachable_gap_basis
             )
         return self.jacobian
 
     def apply(self, change: np.ndarray) -> np.ndarray:
         return change + multiply_compliance_and_force(
-            self.system.dynamic_less_static_compliance, self.linearised_forces.force_change(change)
+            self.system.dynamic_less_static_compliance,
+            self.forces_with_derivatives.force_change(change),
         )
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
@@ -471,7 +472,7 @@ class ContactPoint(DenseLinearisation):
             response_in_basis = (
                 multiply_compliance_and_force(
                     system.dynamic_less_static_compliance,
-                    self.linearised_forces.force_change(right_side),
+                    self.forces_with_derivatives.force_change(right_side),
                 )
                 @ system.reachable_gap_basis
             )
@@ -497,7 +498,7 @@ class ContactPoint(DenseLinearisation):
         Both are (2H+1, n_rows) [m]. Slow gap: gap plus residual flexibility times contact force.
         """
         return self.system.gap(
-            slow_gap_change, self.linearised_forces.force_change(slow_gap_change)
+            slow_gap_change, self.forces_with_derivatives.force_change(slow_gap_change)
         )
 
     def gap_change_by_force_error(self, force_change: np.ndarray) -> np.ndarray:
@@ -928,8 +929,8 @@ class CompiledEquations(Equations):
         Raises ConvergenceError if no contact forces were found at an instant.
         """
         if (
-            self._last_linearisation_reference is None
-            or self._last_linearisation_reference() is not point
+            self._weakref_to_last_linearisation is None
+            or self._weakref_to_last_linearisation() is not point
         ):
             if not self.has_found_solution(
                 self.run_unchecked(
@@ -939,12 +940,12 @@ class CompiledEquations(Equations):
                 raise ConvergenceError(
                     "contact: no forces solve the law at an instant; use a smaller stiffness"
                 )
-            self._last_linearisation_reference = ref(point)
+            self._weakref_to_last_linearisation = ref(point)
         return self.function_table
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         point = CompiledPoint(self, unknown, parameter)
-        self._last_linearisation_reference = ref(point)
+        self._weakref_to_last_linearisation = ref(point)
         return point
 
     def max_dynamic_row_sum(self, parameter: float) -> float:
@@ -953,7 +954,7 @@ class CompiledEquations(Equations):
         Absolute values are summed in each row. The largest sum over all harmonics is returned.
         ``parameter`` is the path parameter, 0 to 1.
         """
-        self._last_linearisation_reference = None
+        self._weakref_to_last_linearisation = None
         max_row_sum = float(kernel.largest_dynamic_row_sum(self._point_handle, parameter))
         if not math.isfinite(max_row_sum):
             self.has_found_solution(kernel.SINGULAR_STRUCTURE)
@@ -1006,8 +1007,8 @@ def residual_friction_scale_derivative(point: ContactPoint) -> np.ndarray:
     ``point`` has the equations, linearised at a slow gap under a friction law. The result is
     (2H+1, n_rows) [m], with normal, then tangential gaps as columns.
     """
-    assert isinstance(point.linearised_forces, FrictionForces)
+    assert isinstance(point.forces_with_derivatives, ContactAndFrictionForces)
     return multiply_compliance_and_force(
         point.system.dynamic_less_static_compliance,
-        point.linearised_forces.friction_scale_derivative(),
+        point.forces_with_derivatives.friction_scale_derivative(),
     )

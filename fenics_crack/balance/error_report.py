@@ -52,7 +52,10 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.equations import COARSE_TOLERANCE, ROUNDING
 from fenics_crack.numerics.fourier import resize_harmonics, sample_period
-from fenics_crack.numerics.newton import motion_size_squared, solve_by_full_or_damped_steps
+from fenics_crack.numerics.newton import (
+    solve_by_full_or_damped_steps,
+    sum_of_squares_with_limited_mean,
+)
 
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
@@ -63,7 +66,7 @@ The error is the difference between two solutions with different numbers of mode
 plates next to a resonance, relative to the difference between exact orbits: 0.3 to 3 times with 40
 harmonics; with 20 harmonics it may be a hundredth.
 """
-NOT_CONFIRMED_TEXT = "a prediction that no exact orbit confirms"
+NO_EXACT_ORBIT_TEXT = "a prediction that no exact orbit confirms"
 """Words printed with an error report if no exact orbit was found for the truncation error."""
 PART_NAMES_OF_TOTAL_ERROR = ("truncation", "reduction", "sampling", "residual")
 """Names of the errors in the total. If the largest are equal, the first name is reported."""
@@ -154,7 +157,7 @@ class ErrorReport(Described):
                 else ""
             )
             for part_name, part_error in self.to_dict().items()
-        ) + ("" if self.confirmed else f" ({NOT_CONFIRMED_TEXT})")
+        ) + ("" if self.confirmed else f" ({NO_EXACT_ORBIT_TEXT})")
 
 
 def estimate_errors(
@@ -206,11 +209,11 @@ def estimate_errors(
             point.gap_change_by_force_error(finer_integrals.force(point.unknown) - point.force)
         )
     if assessment.can_search_orbit:  # includes the sampling error
-        harmonics_error, displacement_at_load_error = assessment.gap_and_displacement_errors(
+        harmonics_error, harmonics_displacement_error = assessment.gap_and_displacement_errors(
             search=search
         )
     else:
-        harmonics_error, displacement_at_load_error = _truncation_errors(point, wave)
+        harmonics_error, harmonics_displacement_error = _truncation_errors(point, wave)
     truncation_error = (
         ERROR_IF_UNKNOWN
         if harmonics_error >= ERROR_IF_UNKNOWN
@@ -236,7 +239,7 @@ def estimate_errors(
         if can_use_orbits and any(modal_errors):  # modes above all harmonics are static in both
             modal_errors = (
                 max(modal_errors[0], truncation_error),
-                max(modal_errors[1], displacement_at_load_error),
+                max(modal_errors[1], harmonics_displacement_error),
             )
     return ErrorReport(
         residual=max(
@@ -246,7 +249,7 @@ def estimate_errors(
         sampling=sampling_error,
         reduction=modal_errors[0],
         penetration=relative_rms_penetration,
-        displacement=min(displacement_at_load_error + modal_errors[1], ERROR_IF_UNKNOWN),
+        displacement=min(harmonics_displacement_error + modal_errors[1], ERROR_IF_UNKNOWN),
         confirmed=not (assessment.can_search_orbit and search)
         or assessment.nearest_orbit is not None,
     )
@@ -522,4 +525,4 @@ def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
     """
     vibration_mean_square = 0.5 * np.sum(coefficients[1:] ** 2)
     squared_means_sum = np.sum(coefficients[0] ** 2)
-    return motion_size_squared(float(vibration_mean_square), float(squared_means_sum))
+    return sum_of_squares_with_limited_mean(float(vibration_mean_square), float(squared_means_sum))

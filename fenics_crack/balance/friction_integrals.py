@@ -84,12 +84,12 @@ class FrictionIntegrals(ContactIntegrals):
     ----------
     samples : int or None
         Instants per period; None: 32 for each of the H harmonics, at least 128.
-    friction_scale : float
+    friction_coefficient_factor : float
         Factor for the law's friction coefficient.
     """
 
     samples: int | None = field(default=None, kw_only=True)
-    friction_scale: float = field(default=1.0, kw_only=True)
+    friction_coefficient_factor: float = field(default=1.0, kw_only=True)
     has_coupled_pairs: ClassVar[bool] = True
 
     @cached_property
@@ -97,11 +97,11 @@ class FrictionIntegrals(ContactIntegrals):
         """Solver for contact and friction forces at one instant, from the slow gaps.
 
         The solver finds which pairs are closed and which slide. Its friction coefficient is the
-        law's times ``friction_scale``.
+        law's times ``friction_coefficient_factor``.
         """
         friction_law = friction_of(self.law)
         assert friction_law is not None
-        scaled_coefficient = np.multiply(self.friction_scale, friction_law.coefficient)
+        scaled_coefficient = np.multiply(self.friction_coefficient_factor, friction_law.coefficient)
         return FrictionContactSolver(self.series_compliance_matrix, scaled_coefficient)
 
     @cached_property
@@ -192,8 +192,8 @@ class FrictionIntegrals(ContactIntegrals):
         requested_indices = unique_index_of_phase[n_instants:]
         return normal_and_friction_forces[requested_indices], sticking_places[requested_indices]
 
-    def linearise(self, gap_coefficients: np.ndarray) -> FrictionForces:
-        return FrictionForces(self, gap_coefficients)
+    def linearise(self, gap_coefficients: np.ndarray) -> ContactAndFrictionForces:
+        return ContactAndFrictionForces(self, gap_coefficients)
 
     def exact_or_finer_integrals(self) -> Self:
         return replace(self, samples=4 * self.n_instants)
@@ -202,7 +202,7 @@ class FrictionIntegrals(ContactIntegrals):
         return replace(self, harmonics=harmonics, samples=None)
 
 
-class FrictionForces(CoupledForces):
+class ContactAndFrictionForces(CoupledForces):
     """Fourier coefficients of contact and friction forces, with derivatives.
 
     ``gap_coefficients`` (2H+1, 2 n_pairs) [m] belong to the slow gaps: gap plus residual

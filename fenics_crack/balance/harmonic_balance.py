@@ -46,7 +46,7 @@ from fenics_crack.balance.more_modes import (
     more_modes_structure_of,
 )
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
-from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.balance.solution import HarmonicBalanceSolver, PeriodicSolution
 from fenics_crack.basics.errors import (
     ConvergenceError,
     InputError,
@@ -228,7 +228,10 @@ def _complex_linear_displacement(
     modes = all_modes(structure)
     modal_receptance = modes.modal_receptances(np.array([omega]))[0]
     modal_displacement = modes.modal_response(modal_receptance, complex_load @ modes.shapes)
-    return modal_displacement @ modes.shapes.T + complex_load @ modes.massless_flexibility
+    return (
+        modal_displacement @ modes.shapes.T
+        + complex_load @ modes.massless_displacement_by_dof_forces
+    )
 
 
 def solve_harmonic_balance(
@@ -242,7 +245,7 @@ def solve_harmonic_balance(
     subharmonic: int = 1,
     tolerance: float | None = None,
     form: str = "condensed",
-    residual_tolerance: float = Solver.residual_tolerance,
+    residual_tolerance: float = HarmonicBalanceSolver.residual_tolerance,
     throw: bool = True,
 ) -> PeriodicSolution:
     """Return the steady periodic vibration with contact between crack faces (collective).
@@ -373,7 +376,7 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
         raise InputError("initial", f"subharmonic {initial.subharmonic}", requirement)
 
 
-MAX_PREDICTED_CHANGE_FACTOR = 3.0
+MAX_MODES_CHANGE_TO_TOLERANCE = 3.0
 """Maximum predicted gap change over the tolerance, to search an orbit with more modes.
 
 The orbit with more modes gives the exact modal truncation error. While the tolerance chooses the
@@ -406,7 +409,7 @@ def mode_counts_to_try(
 
 
 def solve_to_tolerance(
-    solver: Solver,
+    solver: HarmonicBalanceSolver,
     tolerance: float,
     initial: PeriodicSolution | None = None,
     *,
@@ -524,9 +527,9 @@ def solve_from_neighbour(
         No solution is found, or the truncation error stays above the tolerance.
     """
     if tolerance is None:
-        balanced_solution = Solver(problem).solve(neighbour)
+        balanced_solution = HarmonicBalanceSolver(problem).solve(neighbour)
         return balanced_solution if with_errors else balanced_solution.reported(UNESTIMATED_REPORT)
-    solution = _solve_with_present_modes(Solver(problem), tolerance, neighbour)
+    solution = _solve_with_present_modes(HarmonicBalanceSolver(problem), tolerance, neighbour)
     if not (truncation_error := solution.report.truncation) <= tolerance:
         error_text = (
             f"the estimated truncation error, {truncation_error:.1e} with H = {solution.harmonics},"
@@ -551,7 +554,7 @@ def _allowed_harmonics_error(tolerance: float, reduction_error: float) -> float:
 
 
 def _with_tolerance_status(
-    solver: Solver, solution: PeriodicSolution, tolerance: float, modes_key: str
+    solver: HarmonicBalanceSolver, solution: PeriodicSolution, tolerance: float, modes_key: str
 ) -> PeriodicSolution:
     """Return a solution whose status says if the tolerance is met.
 
@@ -602,7 +605,7 @@ def _with_tolerance_status(
 
 
 def _solve_with_present_modes(
-    solver: Solver, tolerance: float, initial: PeriodicSolution | None
+    solver: HarmonicBalanceSolver, tolerance: float, initial: PeriodicSolution | None
 ) -> PeriodicSolution:
     """Return a solution to a tolerance with the structure's present modes.
 
@@ -623,7 +626,7 @@ def _solve_with_present_modes(
             search.orbit,
             tolerance,
             initial,
-            MAX_PREDICTED_CHANGE_FACTOR * tolerance,
+            MAX_MODES_CHANGE_TO_TOLERANCE * tolerance,
             balances_more_modes=True,
         )
         origin_text = (
@@ -671,12 +674,12 @@ def search_orbit_by_harmonic_balance(
         There is no exact flow.
     """
     flow = exact_flow_or_error(problem.structure, problem.contact)
-    solver = Solver(problem, throw=False)
+    solver = HarmonicBalanceSolver(problem, throw=False)
     return _search_orbit_from_solutions(solver, flow, initial, prefer_stable=prefer_stable)[1]
 
 
 def _search_orbit_from_solutions(
-    solver: Solver,
+    solver: HarmonicBalanceSolver,
     flow: ContactFlow,
     initial: PeriodicSolution | None,
     *,
@@ -749,7 +752,9 @@ def _states_with_more_modes(
     ).nearest_orbit_states_with_static_new_modes
 
 
-def _solver_for_other_problem(solver: Solver, problem: Problem) -> Solver:
+def _solver_for_other_problem(
+    solver: HarmonicBalanceSolver, problem: Problem
+) -> HarmonicBalanceSolver:
     """Return a copy of a solver with the same settings, for another problem.
 
     Usually ``problem`` has another number of harmonics. The numbers of harmonics and coordinates
@@ -832,10 +837,10 @@ def orbit_solution_to_tolerance(
         )
     if balances_more_modes:
         more_modes = _more_modes_with_balanced_orbit(problem, solution_with_harmonics, more_modes)
-    reduction_error, displacement_at_load_error = _modal_truncation_errors(
+    modal_gap_error, modal_displacement_error = _modal_truncation_errors(
         problem, solution_with_harmonics, more_modes, balances_more_modes
     )
-    allowed_harmonics_error = _allowed_harmonics_error(tolerance, reduction_error)
+    allowed_harmonics_error = _allowed_harmonics_error(tolerance, modal_gap_error)
     n_insufficient_harmonics, solution = 0, solution_with_harmonics(problem.harmonics)
     while (
         not solution.assessment.relative_orbit_distance <= allowed_harmonics_error
@@ -860,12 +865,12 @@ def orbit_solution_to_tolerance(
     report = ErrorReport(
         residual=orbit.residual,
         truncation=gap_and_displacement_errors[0],
-        reduction=reduction_error,
+        reduction=modal_gap_error,
         penetration=change_relative_to_motion(
             np.maximum(gap_samples, 0.0), gap_plus_clearance_samples
         ),
         displacement=min(
-            gap_and_displacement_errors[1] + displacement_at_load_error, ERROR_IF_UNKNOWN
+            gap_and_displacement_errors[1] + modal_displacement_error, ERROR_IF_UNKNOWN
         ),
     )
     return replace(solution.reported(report), iterations=orbit.iterations)
@@ -928,7 +933,7 @@ def _more_modes_with_balanced_orbit(
         return more_modes
     n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
     more_modes_problem = replace(problem, structure=more_modes.flow.structure)
-    more_modes_solution = Solver(
+    more_modes_solution = HarmonicBalanceSolver(
         more_modes_problem.with_harmonics(n_harmonics)
     ).search_and_solution(solution_with_harmonics(n_harmonics))[1]
     if more_modes_solution.converged and (
@@ -977,7 +982,7 @@ def _modal_truncation_errors(
         and not more_modes.is_predicted_change_too_large
     ):
         n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
-        solver_with_many_harmonics = Solver(problem.with_harmonics(n_harmonics))
+        solver_with_many_harmonics = HarmonicBalanceSolver(problem.with_harmonics(n_harmonics))
         balanced_solution = solver_with_many_harmonics.search_and_solution(
             solution_with_harmonics(n_harmonics), with_whole_budget=False, more_modes=more_modes
         )[1]
@@ -993,12 +998,12 @@ def _modal_truncation_errors(
 
 
 def _solve_with_growing_harmonics(
-    solver: Solver, tolerance: float, solution: PeriodicSolution
+    solver: HarmonicBalanceSolver, tolerance: float, solution: PeriodicSolution
 ) -> PeriodicSolution:
     """Double the harmonics until the error is small, and return the best solution.
 
     The best solution has the smallest total error. The doubling ends if
-    :func:`_has_enough_harmonics` is True, or if Newton's method does not converge.
+    :func:`_needs_or_allows_no_more_harmonics` is True, or if Newton's method does not converge.
 
     Parameters
     ----------
@@ -1010,7 +1015,7 @@ def _solve_with_growing_harmonics(
         Solution with the first number of harmonics.
     """
     best_solution = solution
-    while solution.converged and not _has_enough_harmonics(solution, tolerance):
+    while solution.converged and not _needs_or_allows_no_more_harmonics(solution, tolerance):
         harmonics = min(2 * solution.harmonics, MAX_HARMONICS)
         finer_solver = _solver_for_other_problem(solver, solver.problem.with_harmonics(harmonics))
         solution = finer_solver.search_and_solution(solution, with_whole_budget=False)[1]
@@ -1019,7 +1024,7 @@ def _solve_with_growing_harmonics(
     return best_solution
 
 
-def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
+def _needs_or_allows_no_more_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
     """Return True if no more harmonics are needed, or allowed.
 
     True in three cases:
@@ -1116,7 +1121,7 @@ def motion_without_friction(
     problem_with_response_harmonics = problem.with_harmonics(
         problem.response_harmonics(problem.harmonics)
     )
-    solution = Solver(problem_with_response_harmonics).solve()
+    solution = HarmonicBalanceSolver(problem_with_response_harmonics).solve()
     assessment = solution.assessment
     return (
         assessment.nearest_orbit
@@ -1148,7 +1153,7 @@ def find_line_angles_and_turning(
     """
     tangential_gap_matrix = motion.structure.tangential
     assert tangential_gap_matrix is not None
-    [motion_record] = motion.yield_records_of_row_products(tangential_gap_matrix.T.toarray())
+    [motion_record] = motion.yield_motion_records(tangential_gap_matrix.T.toarray())
     n_pairs = motion.structure.n_pairs
     slip = motion_record.row_products.reshape(len(motion_record.row_products), 2, n_pairs)
     normal_force = motion_record.forces[:, :n_pairs]

@@ -944,12 +944,14 @@ class Search:
             return
         max_steps = 1 + max(0, int(budget_fraction * (self._max_iterations - self.iterations)))
         max_total_iterations = self.iterations + max_steps
-        points_per_call = min(PathOptions.points_per_call, 1 + max_steps // MAX_STALLED_STEPS)
+        max_path_points_per_call = min(
+            PathOptions.max_path_points_per_call, 1 + max_steps // MAX_STALLED_STEPS
+        )
         path_options = replace(
             HOMOTOPY_OPTIONS,
             rounding=self._residual_rounding,
             max_steps=max_steps,
-            points_per_call=points_per_call,
+            max_path_points_per_call=max_path_points_per_call,
         )
         continuation_path = Path(
             system, point_on_path(system, start_point.unknown, 0.0), path_options, [Target(1.0)]

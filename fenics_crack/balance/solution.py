@@ -105,7 +105,7 @@ class Stability(Described):
         return f"{self.verdict}{reason_text}, {multiplier_text}, uncertainty {self.uncertainty:.2g}"
 
 
-@keep_old_attribute_names(still="is_still")
+@keep_old_attribute_names(yield_records_of_row_products="yield_motion_records", still="is_still")
 @dataclass(frozen=True, repr=False)
 class PeriodicSolution(PeriodicMotion, ObservedMotion, Described):
     """Steady vibration with contact, as a Fourier series.
@@ -212,7 +212,7 @@ class PeriodicSolution(PeriodicMotion, ObservedMotion, Described):
         check_number("time", time)
         return self.structure.function(self.displacement_of_local_dofs(np.array([time]))[0])
 
-    def yield_records_of_row_products(
+    def yield_motion_records(
         self, rows: np.ndarray, instants: int | None = None
     ) -> Iterator[MotionRecord]:
         """Yield the motion's :class:`MotionRecord`, at equally spaced instants of the period.
@@ -429,7 +429,7 @@ def solution_of(
 
 
 @dataclass(frozen=True)
-class Solver:
+class HarmonicBalanceSolver:
     """Solver for a harmonic-balance problem, with the coefficients of gaps as unknowns.
 
     Two options can be set: the maximum residual, and whether a failure raises an error.

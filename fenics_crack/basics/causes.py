@@ -46,13 +46,13 @@ ERROR_CAUSES = {
     ),
 }
 """All causes of error by name, in the order of ``verify`` and of colours in pictures."""
-REDUCED_STRUCTURE_ERROR_CAUSES = ("modes", "harmonics", "mesh")
+ERROR_CAUSES_IF_REDUCED = ("modes", "harmonics", "mesh")
 """Causes whose errors are estimated for a reduced structure only.
 
 For a full structure the runs for comparison take too long: three times as long as the solution.
 """
 STATED_ERROR_CAUSES = (
-    *REDUCED_STRUCTURE_ERROR_CAUSES,
+    *ERROR_CAUSES_IF_REDUCED,
     *(cause for cause, words in ERROR_CAUSES.items() if words.parameter_runs_text),
 )
 """Causes of error that a command estimates for each solution: all parameters are among them."""
@@ -61,5 +61,5 @@ REQUIRED_ERROR_CAUSES = ("harmonics", "modes")
 
 The same holds for the mesh, if a run with another mesh fails.
 """
-OPTIONAL_ERROR_CAUSES = ("mesh", "friction")
+OMITTABLE_ERROR_CAUSES = ("mesh", "friction")
 """Causes that the user may leave out; the total error is then stated as incomplete."""

@@ -157,13 +157,13 @@ class Observables:
         lambda point: point.mean / point.amplitude_at_load_frequency,
         PRINTED_WITH_ERROR | IN_SWEEP_PICTURES)
     opening: Any = _make_face_row("largest opening", "m",
-        lambda faces: max(faces.gap_and_force_maxima[0], 0.0), IN_ALL_TABLES)
+        lambda faces: max(faces.overall_gap_and_force_maxima[0], 0.0), IN_ALL_TABLES)
     penetration: Any = _make_face_row("largest penetration", "m",
-        lambda faces: max(faces.gap_and_force_maxima[1], 0.0), IN_PRINTED_TABLE)
+        lambda faces: max(faces.overall_gap_and_force_maxima[1], 0.0), IN_PRINTED_TABLE)
     contact_force: Any = _make_face_row("largest contact force of a pair", "N",
-        lambda faces: faces.gap_and_force_maxima[2], IN_PRINTED_TABLE)
+        lambda faces: faces.overall_gap_and_force_maxima[2], IN_PRINTED_TABLE)
     crack_force: Any = _make_face_row("largest contact force of a crack, all pairs", "N",
-        lambda faces: faces.gap_and_force_maxima[3], PRINTED_WITH_ERROR)
+        lambda faces: faces.overall_gap_and_force_maxima[3], PRINTED_WITH_ERROR)
     closed_share: Any = _make_face_row("contact duty cycle, mean over pairs", "1",
         lambda faces: (faces.force > 0.0).mean(), IN_ALL_TABLES)
     friction_loss: Any = _make_face_row("friction loss of a period", "J",

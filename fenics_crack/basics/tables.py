@@ -226,7 +226,7 @@ class Report:
         Table printed as text; default: ``table``.
     notes, warnings : sequences of str
         Further information, and doubts about the result.
-    page_tables : dict of str to Table
+    html_page_tables : dict of str to Table
         Tables of the HTML page by caption; default: the printed table.
     further_tables : dict of str to Table
         Tables below the first table, printed and on the page, by caption.
@@ -245,7 +245,7 @@ class Report:
     printed_table: Table | None = None
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
-    page_tables: Mapping[str, Table] = field(default_factory=dict)
+    html_page_tables: Mapping[str, Table] = field(default_factory=dict)
     further_tables: Mapping[str, Table] = field(default_factory=dict)
     remarks: Sequence[object] = ()
     has_converged: bool = True

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.error_report import LARGE_ERROR, NOT_CONFIRMED_TEXT, ErrorReport
+from fenics_crack.balance.error_report import LARGE_ERROR, NO_EXACT_ORBIT_TEXT, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, ConvergenceError, InputError
 from fenics_crack.basics.observables import (
@@ -187,7 +187,7 @@ def yield_large_error_warning(
     }[report.largest_part]
     error_text = (
         f"the estimated relative error of the gap is {format_percent(report.total)}{location_text}"
-        f", mostly due to {cause_text}{'' if report.confirmed else f' ({NOT_CONFIRMED_TEXT})'}"
+        f", mostly due to {cause_text}{'' if report.confirmed else f' ({NO_EXACT_ORBIT_TEXT})'}"
     )
     if report.unknown:
         error_text = (
@@ -464,7 +464,7 @@ def make_report(
         report,
         table=Table(table.columns, [*table.rows, conclusion_row]),
         printed_table=select_printed_quantities(table, run.scene, IN_PRINTED_TABLE),
-        page_tables=_quantity_text_tables_by_heading(run, table),
+        html_page_tables=_quantity_text_tables_by_heading(run, table),
     )
 
 

@@ -26,7 +26,7 @@ from fenics_crack.cli.given import (
     Console,
     PictureFiles,
     format_command,
-    keep_previous_files_with_note,
+    keep_previous_files_and_return_note,
 )
 from fenics_crack.cli.kinds import RESULT_KIND_BY_NAME, build_report, draw_result
 from fenics_crack.runs.run import Run
@@ -155,7 +155,7 @@ def write_and_print_report(
     for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:
         structure_file.write_noted_structure(console.comm)
     if result is not None:
-        replacement_note = keep_previous_files_with_note(
+        replacement_note = keep_previous_files_and_return_note(
             Path(f"{stem_path}.json"), report.table.format_as("json"), console.comm
         )
     with complete_files_together() as file_stack:
@@ -407,7 +407,7 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
 
     fit_table_text = identification.fit_table().format_as("csv")
     other_result_file_stems = ("identify", "posterior", "where_to_measure")
-    replacement_note = keep_previous_files_with_note(
+    replacement_note = keep_previous_files_and_return_note(
         folder / "fit.csv", fit_table_text, console.comm, *other_result_file_stems
     )
     on_root(console.comm, write_results)

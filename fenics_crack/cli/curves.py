@@ -62,7 +62,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
             *_yield_curve_warnings(run),
             *account.yield_large_motion_warning(run, account.find_largest_displacements(run)),
         ],
-        page_tables={
+        html_page_tables={
             "Special points": account.select_printed_quantities(
                 special_point_table, scene, IN_SPECIAL_POINTS_TABLE
             )

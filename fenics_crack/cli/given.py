@@ -550,7 +550,7 @@ def make_writable_folder(folder: Path, comm: MPI.Comm) -> None:
     )
 
 
-def keep_previous_files_with_note(
+def keep_previous_files_and_return_note(
     table_path: Path, table_text: str, comm: MPI.Comm, *other_result_file_stems: str
 ) -> str:
     """Keep the previous result's files in the folder ``before`` (collective).

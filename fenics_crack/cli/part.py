@@ -16,7 +16,7 @@ from fenics_crack.version import read_packaged_text
 
 MAX_LISTED_FACES = 40
 """Maximum number of the part's faces, largest first, listed in the scene and in the picture."""
-PROPOSED_CRACK_HEIGHT_FRACTION = 0.2
+CRACK_TO_CLAMP_OVER_PART_LENGTH = 0.2
 """Height of the proposed crack above the clamp, relative to the part's length."""
 
 
@@ -124,8 +124,8 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
 
     The crack is on the largest face along this axis: all normals of this face differ by more than
     45 degrees from the axis. Without a face like this, the largest face is taken. The clamped end
-    is the lowest. The crack's height above this end is :data:`PROPOSED_CRACK_HEIGHT_FRACTION`, 0.2,
-    of the part's length.
+    is the lowest. The crack's height above this end is :data:`CRACK_TO_CLAMP_OVER_PART_LENGTH`,
+    0.2, of the part's length.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
     face_index = int((np.array(max_normal_components_along_axis) < 0.7).argmax())
     is_on_face = part_surface.face_numbers == part_surface.face_numbers_largest_first[face_index]
     target_point = part_surface.face_center_points[face_index] * (1.0 - axis_direction)
-    target_point[axis] = bottom_height + PROPOSED_CRACK_HEIGHT_FRACTION * (
+    target_point[axis] = bottom_height + CRACK_TO_CLAMP_OVER_PART_LENGTH * (
         top_height - bottom_height
     )
     triangle_index = np.linalg.norm(

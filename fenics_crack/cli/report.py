@@ -365,7 +365,7 @@ def _build_result_fields(
         if report.misses_tolerance or report.warnings
         else "good"
     )
-    tables_by_caption = report.page_tables or {"In numbers": make_printed_table(report)}
+    tables_by_caption = report.html_page_tables or {"In numbers": make_printed_table(report)}
     return {
         "heading": RESULT_KIND_BY_NAME[stored_file.kind].page_heading,
         "closing": f"{_capitalize_sentence(report.closing_sentence)}.",

@@ -81,7 +81,7 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
         printed_table=short_table,
         notes=[f"cases: {states_text}{selection_text}", high_harmonic_note],
         warnings=[*yield_sweep_warnings(sweep_result)],
-        page_tables=tables_by_heading,
+        html_page_tables=tables_by_heading,
         remarks=[*remarks_on_scene(sweep_result.scene), *list_skipped_peak_remarks(sweep_result)],
         has_converged=not sweep_result.failed_indices_and_reasons
         and sweep_result.complete,  # mpirun calls all other ends an aborted job
@@ -148,7 +148,7 @@ def _yield_large_error_warnings(sweep_result: SweepResult) -> Iterator[str]:
             f"{format_count(int(is_in_group.sum()), 'case')} with an error above "
             f"{format_percent(error_limit)}"
         )
-        for error_text in yield_large_error_warning(
+        for warning_text in yield_large_error_warning(
             case_scene,
             error_report,
             int(sweep_result["harmonics"][case_index]),
@@ -156,7 +156,7 @@ def _yield_large_error_warnings(sweep_result: SweepResult) -> Iterator[str]:
         ):
             yield (
                 f"{count_text}, the largest at "
-                f"{describe_swept_values(sweep_result.axes, case_index)}: {error_text}"
+                f"{describe_swept_values(sweep_result.axes, case_index)}: {warning_text}"
             )
 
 

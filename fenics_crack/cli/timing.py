@@ -25,7 +25,7 @@ from fenics_crack.cli.commands import write_and_print_report
 from fenics_crack.cli.given import (
     CommandInputs,
     Console,
-    keep_previous_files_with_note,
+    keep_previous_files_and_return_note,
     make_writable_folder,
     parse_changes,
     select_blades,
@@ -43,7 +43,7 @@ TIMING_KEYS_FOR_RECORD_WITHOUT_SCENE = (
     "subharmonic", "angle_deviation",
 )  # fmt: skip
 """Keys of [tip_timing] allowed in ``--set`` for a record without a scene."""
-PROBES_REQUIREMENT_TEXT = (
+PROBE_ANGLES_NEEDED_TEXT = (
     "given for a record at constant speed, as --set tip_timing.probes=[0,17,40] in degrees: "
     "probe angles estimated from the arrivals hide an engine order of constant amplitude"
 )
@@ -127,7 +127,7 @@ def _write_and_draw_arrivals(
 
     table_text = arrivals.table().format_as("csv")
     console.print_notes(
-        keep_previous_files_with_note(arrivals_output_path, table_text, console.comm)
+        keep_previous_files_and_return_note(arrivals_output_path, table_text, console.comm)
     )
     on_root(console.comm, write_files)
     first_speed_text, last_speed_text = (
@@ -281,7 +281,7 @@ def _fit_and_report_record(arguments: Namespace, console: Console) -> Exit:
         and not {"probes", "frequencies"} & timing_settings_from_options.keys()
     )
     if needs_probes and not has_probe_angles(arguments.scene):
-        raise InputError("tip_timing.probes", None, PROBES_REQUIREMENT_TEXT)
+        raise InputError("tip_timing.probes", None, PROBE_ANGLES_NEEDED_TEXT)
     timing_settings_from_record = {
         "probes": np.degrees(first_blade_arrivals.probes).tolist(),
         "tip_radius": first_blade_arrivals.tip_radius,

@@ -383,7 +383,7 @@ class BalanceAlongStiffnessFactor(BalanceEquations):
         return (
             multiply_compliance_and_force(
                 point.system.dynamic_less_static_compliance,
-                point.linearised_forces.log_stiffness_derivative(),
+                point.forces_with_derivatives.log_stiffness_derivative(),
             )
             / value
         )

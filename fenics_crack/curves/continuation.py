@@ -29,7 +29,7 @@ from fenics_crack.balance.harmonic_balance import (
     solve_from_neighbour,
 )
 from fenics_crack.balance.problem import Problem, check_memory
-from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.balance.solution import HarmonicBalanceSolver, PeriodicSolution
 from fenics_crack.basics.errors import (
     DEFAULT_ERROR_TOLERANCE,
     ConvergenceError,
@@ -306,7 +306,9 @@ class GrowingCurve:
             max_step=longest_step,
             min_step=max(MIN_RESOLVED_DISTANCE, system.rounding(last_point.parameter)),
             max_steps=self.most_points + 1 - len(self.points),
-            points_per_call=max(1, min(PathOptions.points_per_call, system.points_per_call)),
+            max_path_points_per_call=max(
+                1, min(PathOptions.max_path_points_per_call, system.max_path_points_per_call)
+            ),
             parameter_range=(-self._continuation_limits.max_turn_back_fraction, np.inf),
         )
         path = Path(
@@ -495,7 +497,7 @@ class Continuation(GrowingCurve):
                 system, system.unknown(orbit.state, start), 0.0, orbit.iterations
             )
         else:
-            solution = Solver(system.problem_at(start)).solve(initial)  # type: ignore[arg-type]
+            solution = HarmonicBalanceSolver(system.problem_at(start)).solve(initial)  # type: ignore[arg-type]
             start_point = make_first_path_point(
                 system, solution.gap_series_without_static_part, 0.0, solution.iterations
             )

@@ -76,7 +76,7 @@ MIN_ORBIT_HARMONICS = SearchOptions.guess_harmonic_counts[0]
 """Minimum harmonics of the load frequency in a solution from an exact orbit: 5."""
 OBSERVED_INSTANTS_PER_PERIOD = 256
 """Instants per period at which the motion at a curve's point is observed."""
-MAX_MISSED_WINDOW_TO_STEP_RATIO = 0.1
+MAX_MISSED_INSTABILITY_TO_STEP = 0.1
 """Width of an unstable window that a curve may miss, relative to the longest step.
 
 Step control interpolates multipliers between the ends of a step. The interpolation is wrong if
@@ -205,7 +205,11 @@ class CurvePoint:
     bifurcations: Sequence[tuple[str, float]] = field(default_factory=tuple)
 
 
-@keep_old_attribute_names(resolution="max_missed_window_width", undecided="is_undecided")
+@keep_old_attribute_names(
+    yield_records_of_row_products="yield_motion_records",
+    resolution="max_missed_window_width",
+    undecided="is_undecided",
+)
 @dataclass(frozen=True, repr=False, kw_only=True)
 class ResponseCurve(ObservedMotion, Tabular):
     """Solutions along a curve, in order: of harmonic balance, or exact periodic orbits.
@@ -441,7 +445,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         equations = self.system
         contact_system = equations.system(equations.start)
         compliance_model = equations.compliance_model_at(equations.start)
-        points_per_chunk = max(1, equations.points_per_call)
+        points_per_chunk = max(1, equations.max_path_points_per_call)
         for chunk_indices in (
             places[chunk_start_position : chunk_start_position + points_per_chunk]
             for chunk_start_position in range(0, len(places), points_per_chunk)
@@ -488,7 +492,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             [assessment.wave.gap_coefficients for assessment in self.assessments(indices)]
         )
 
-    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[MotionRecord]:
+    def yield_motion_records(self, rows: np.ndarray) -> Iterator[MotionRecord]:
         point_indices = range(len(self))
         orbits_or_solutions: Iterator[PeriodicOrbit | PeriodicSolution]
         if self.exact:
@@ -500,9 +504,7 @@ class ResponseCurve(ObservedMotion, Tabular):
                 for assessment in point_assessments
             )
         for orbit_or_solution in orbits_or_solutions:
-            yield from orbit_or_solution.yield_records_of_row_products(
-                rows, OBSERVED_INSTANTS_PER_PERIOD
-            )
+            yield from orbit_or_solution.yield_motion_records(rows, OBSERVED_INSTANTS_PER_PERIOD)
 
     # --- stability --------------------------------------------------------------------------------
 
@@ -571,9 +573,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         return. Both may happen inside a narrow interval. The width is a tenth of the longest step
         in ``values``, in the same unit.
         """
-        return MAX_MISSED_WINDOW_TO_STEP_RATIO * float(
-            np.abs(np.diff(self.values)).max(initial=0.0)
-        )
+        return MAX_MISSED_INSTABILITY_TO_STEP * float(np.abs(np.diff(self.values)).max(initial=0.0))
 
     # --- parts of it ------------------------------------------------------------------------------
 

@@ -113,7 +113,7 @@ class CurveSystem(ABC):
         return math.prod(self.shape)
 
     @property
-    def points_per_call(self) -> int:
+    def max_path_points_per_call(self) -> int:
         """Maximum number of path points that one kernel call computes.
 
         Ctrl-C has no effect before the call ends.

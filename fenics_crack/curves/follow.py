@@ -36,7 +36,7 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
 
-MAX_CURVE_SEARCHES = 4
+MAX_OTHER_CURVE_SEARCHES = 4
 """Maximum number of searches for another curve that leads to the start.
 
 The first search begins at the end of the range, the others between the end and the start.
@@ -280,15 +280,17 @@ def _find_other_curve(
         0 if first_curve is None else len(first_curve.points),
     )
     # If there is no orbit at the start, each search takes long.
-    n_allowed_searches = MAX_CURVE_SEARCHES if first_curve is not None else 1
-    search_values = np.linspace(end, start, MAX_CURVE_SEARCHES, endpoint=False)[:n_allowed_searches]
+    n_allowed_searches = MAX_OTHER_CURVE_SEARCHES if first_curve is not None else 1
+    search_values = np.linspace(end, start, MAX_OTHER_CURVE_SEARCHES, endpoint=False)[
+        :n_allowed_searches
+    ]
     for search_value in search_values.tolist():
         start_solution: PeriodicSolution | PeriodicOrbit | None = None
         for stage_start_value, stage_end_value in ((search_value, start), (start, end)):
             try:
                 growing_curve = make_curve(stage_start_value, stage_end_value, start_solution)
                 max_unknowns_times_points = (
-                    2 * MAX_CURVE_SEARCHES * MAX_UNKNOWNS_TIMES_POINTS_PER_CALL
+                    2 * MAX_OTHER_CURVE_SEARCHES * MAX_UNKNOWNS_TIMES_POINTS_PER_CALL
                 )
                 n_allowed_points = max(
                     n_points_of_first_curve,

@@ -67,16 +67,16 @@ from fenics_crack.numerics.path import (
     find_zero_point_and_function_value,
 )
 
-ACCEPTED_LOG_CHANGE = 0.01
+MULTIPLIER_LOG_CHANGE_ALWAYS_ALLOWED = 0.01
 """Maximum change in ln |mu| of a Floquet multiplier mu that every step may make."""
 
-MIN_REJECTABLE_STEP_RATIO = 0.01
+MIN_REJECTABLE_TO_LONGEST_STEP = 0.01
 """Minimum length of a step that may be rejected because multipliers change too much.
 
 Relative to the longest step.
 """
 
-MIN_COLLISION_STEP_RATIO = 0.02
+MIN_REJECTABLE_COLLISION_STEP = 0.02
 """Minimum length of a step that may be rejected because of a multiplier collision.
 
 Relative to the longest step. With the default longest step this is 0.1 % of the range.
@@ -194,8 +194,8 @@ class MultiplierStepControl(StepRejectionRule):
     """
 
     def __init__(self, longest_step: float) -> None:
-        self._min_step = MIN_REJECTABLE_STEP_RATIO * longest_step
-        self._min_collision_step = MIN_COLLISION_STEP_RATIO * longest_step
+        self._min_rejectable_step = MIN_REJECTABLE_TO_LONGEST_STEP * longest_step
+        self._min_rejectable_collision_step = MIN_REJECTABLE_COLLISION_STEP * longest_step
 
     def mark_rejected_steps(
         self, segment: ConsecutivePathPoints, first_index: int = 0
@@ -206,7 +206,7 @@ class MultiplierStepControl(StepRejectionRule):
         log_changes = np.diff(multiplier_log_moduli, axis=0)
         step_lengths = segment.chord_lengths[1:]
         allowed_log_change = np.maximum(
-            0.5 * np.abs(multiplier_log_moduli[:-1]), ACCEPTED_LOG_CHANGE
+            0.5 * np.abs(multiplier_log_moduli[:-1]), MULTIPLIER_LOG_CHANGE_ALWAYS_ALLOWED
         )
         is_coarse = np.any(np.abs(log_changes) > allowed_log_change, axis=1)
         if len(log_changes) > 1:
@@ -219,8 +219,8 @@ class MultiplierStepControl(StepRejectionRule):
         monodromy_matrices = segment.records[first_index:].reshape(-1, n_states, n_states)
         has_collision = step_collision_severities(monodromy_matrices) > 1.0
         is_coarse, step_lengths = is_coarse[first_index:], step_lengths[first_index:]
-        is_coarse &= step_lengths > self._min_step
-        is_coarse |= has_collision & (step_lengths > self._min_collision_step)
+        is_coarse &= step_lengths > self._min_rejectable_step
+        is_coarse |= has_collision & (step_lengths > self._min_rejectable_collision_step)
         has_several_events = (
             np.abs(changes_of_multiplier_counts(segment.step_control_values[first_index:])).sum(
                 axis=1

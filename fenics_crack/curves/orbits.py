@@ -81,9 +81,9 @@ class OrbitEquations(CurveSystem):
         self.balance_class = EQUATIONS_CLASS_BY_PARAMETER[parameter]
         self.is_logarithmic = self.balance_class.is_logarithmic
         self.subharmonic = problem.subharmonic
-        self._start_flow = self._make_flow(start)
-        self._last_value_and_flow: tuple[float, ContactFlow] = start, self._start_flow
-        self.shape = (self._start_flow.state_size,)
+        self._flow_at_start = self._make_flow(start)
+        self._last_value_and_flow: tuple[float, ContactFlow] = start, self._flow_at_start
+        self.shape = (self._flow_at_start.state_size,)
 
     def problem_at(self, value: float) -> Problem:
         """Return the problem at a value of the curve's parameter."""
@@ -103,7 +103,7 @@ class OrbitEquations(CurveSystem):
         The flows at the curve's start and at the last requested value are kept for later calls.
         """
         if self.parameter_name == "omega" or value == self.start:
-            return self._start_flow
+            return self._flow_at_start
         if self._last_value_and_flow[0] != value:
             self._last_value_and_flow = value, self._make_flow(value)
         return self._last_value_and_flow[1]
@@ -115,7 +115,7 @@ class OrbitEquations(CurveSystem):
         The factors are 1 for modal displacements, and 1 / w for modal velocities. w is the mode's
         frequency, but at least the response's frequency.
         """
-        return self._start_flow.amplitude_weights(self.omega(self.start) / self.subharmonic)
+        return self._flow_at_start.amplitude_weights(self.omega(self.start) / self.subharmonic)
 
     @property
     def n_record_entries(self) -> int:
@@ -123,7 +123,7 @@ class OrbitEquations(CurveSystem):
         return self.n_unknowns**2
 
     @property
-    def points_per_call(self) -> int:
+    def max_path_points_per_call(self) -> int:
         # Monodromy matrices with 8192 entries together: matrices after a rejected step are lost,
         # and a few large matrices outweigh the time between calls.
         return 2**13 // self.n_record_entries
@@ -192,9 +192,9 @@ class OrbitEquations(CurveSystem):
         n_unknowns).
         """
         modal_basis_change = (
-            self.flow(value).modal_model.shapes_inverse @ self._start_flow.modal_model.shapes
+            self.flow(value).modal_model.shapes_inverse @ self._flow_at_start.modal_model.shapes
         )
-        friction_identity = np.eye(self._start_flow.state_size - 2 * self._start_flow.n_modes)
+        friction_identity = np.eye(self._flow_at_start.state_size - 2 * self._flow_at_start.n_modes)
         return scipy.linalg.block_diag(modal_basis_change, modal_basis_change, friction_identity)
 
     def _advance_motion(
@@ -240,11 +240,11 @@ class OrbitEquations(CurveSystem):
         parameter_is_damping = self.parameter_name == "damping"
         # With friction, the places where pairs stick depend on the damping, too.
         if self.parameter_name in ("stiffness", "speed", "friction") or (
-            parameter_is_damping and self._start_flow.friction_law
+            parameter_is_damping and self._flow_at_start.friction_law
         ):
             return None
         omega_and_change = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
-        kernel_flow = start_flow = self._start_flow
+        kernel_flow = start_flow = self._flow_at_start
         kernel_fields: dict[str, Any] = (
             {"rest_states": self._scaled_rest_state_and_change_along_curve}
             if self._scaled_rest_state_and_change_along_curve.any()
@@ -317,7 +317,7 @@ class OrbitEquations(CurveSystem):
 
         def by_parameter() -> np.ndarray:
             """Return the residual's derivative by the path parameter: (n_unknowns,)."""
-            if self.parameter_name == "speed" or self._start_flow.friction_law:
+            if self.parameter_name == "speed" or self._flow_at_start.friction_law:
                 parameter_step = (
                     FORWARD_PARAMETER_STEP if parameter < 0.5 else -FORWARD_PARAMETER_STEP
                 )
@@ -326,7 +326,7 @@ class OrbitEquations(CurveSystem):
                 ) / parameter_step
             start_state = self.unscaled_solution(unknown, value)
             softness_derivative_by_parameter = (
-                -self.value_rate(value) / value * motion.track.flow.softness
+                -self.value_rate(value) / value * motion.track.flow.contact_spring_compliance
             )
             unknown_derivative_by_softness = (
                 self.state_factors

@@ -72,7 +72,7 @@ class ExcitingHarmonic:
         load_displacement_products = modal_compliance_of(point).selected_displacement(
             self.cosine_and_sine_load, point.force if force is None else force
         )
-        return self._complex_work_of(load_displacement_products)
+        return self._complex_work_of_products(load_displacement_products)
 
     def complex_work_omega_derivative(self, point: ContactPoint) -> complex:
         """Return the derivative of the load's complex work by the load frequency [N m s].
@@ -80,21 +80,22 @@ class ExcitingHarmonic:
         ``point`` has the linearised equations of harmonic balance. Contact forces are held
         constant.
         """
-        return self._complex_work_of(
+        return self._complex_work_of_products(
             modal_compliance_of(point).selected_displacement_omega_derivative(
                 self.cosine_and_sine_load, point.force
             )
         )
 
-    def _complex_work_of(self, coefficients: np.ndarray) -> complex:
+    def _complex_work_of_products(self, load_displacement_products: np.ndarray) -> complex:
         """Return the load's complex work at the exciting harmonic [N m].
 
-        ``coefficients`` (2H+1, 2) [N m] are the Fourier coefficients of two scalars: the load's
-        cosine part times the displacement, and the load's sine part times the displacement.
+        ``load_displacement_products`` (2H+1, 2) [N m] are the Fourier coefficients of two scalars:
+        the load's cosine part times the displacement, and the load's sine part times the
+        displacement.
         """
         displacement_cosine_works, displacement_sine_works = (
-            coefficients[2 * self.harmonic - 1],
-            coefficients[2 * self.harmonic],
+            load_displacement_products[2 * self.harmonic - 1],
+            load_displacement_products[2 * self.harmonic],
         )
         return complex(
             displacement_cosine_works[0] + displacement_sine_works[1],
@@ -118,7 +119,7 @@ class PhasePoint(Linearisation):
     Harmonic balance F(s, v, w) = 0, and Re P / Im P = 0 for the load's complex work P. s is the
     slow gap (gap plus residual flexibility times contact force), v the factor for the vibrating
     load, w the load frequency. Harmonic balance is divided by v. The unknowns are s / (v s_0), and
-    w divided by the problem's frequency. The constant s_0 [m] is ``vibration_size`` of
+    w divided by the problem's frequency. The constant s_0 [m] is ``vibrating_slow_gap_norm`` of
     :class:`ResonanceSystem`: the norm of the vibrating coefficients of s / v at a nearby point.
 
     Attributes
@@ -141,7 +142,10 @@ class PhasePoint(Linearisation):
         self.unknown = unknown
         self.problem = system.problem
         self.exciting_harmonic = system.exciting_harmonic
-        self._vibration_size, self.omega = system.vibration_size, system.omega(1.0, unknown)
+        self._vibrating_slow_gap_norm, self.omega = (
+            system.vibrating_slow_gap_norm,
+            system.omega(1.0, unknown),
+        )
         self.linearised_balance = system.balance_along_frequency.system(self.omega).linearise(
             system.unscaled_solution(unknown, 1.0)
         )
@@ -157,7 +161,8 @@ class PhasePoint(Linearisation):
             1.0 - self._inverse_load_factor
         ) * self.linearised_balance.system.linear_gap[0]
         return np.append(
-            contact_residual / self._vibration_size, self.complex_work.real / self.complex_work.imag
+            contact_residual / self._vibrating_slow_gap_norm,
+            self.complex_work.real / self.complex_work.imag,
         )
 
     @cached_property
@@ -166,7 +171,7 @@ class PhasePoint(Linearisation):
         residual_derivative[: len(self.linearised_balance.gap[0])] = (
             -self._derivative_of_inverse_load_factor
             * self.linearised_balance.system.linear_gap[0]
-            / self._vibration_size
+            / self._vibrating_slow_gap_norm
         )
         return residual_derivative
 
@@ -190,7 +195,7 @@ class PhasePoint(Linearisation):
             self.exciting_harmonic.complex_work(
                 self.linearised_balance,
                 self.linearised_balance.force
-                + self.linearised_balance.linearised_forces.force_change(slow_gap_change),
+                + self.linearised_balance.forces_with_derivatives.force_change(slow_gap_change),
             )
             - self.complex_work
         )
@@ -210,7 +215,7 @@ class PhasePoint(Linearisation):
         ) + self._complex_work_change_by_slow_gap(self.slow_gap_derivative_by_frequency)
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
-        gap_change = self._vibration_size * self.linearised_balance.solve(
+        gap_change = self._vibrating_slow_gap_norm * self.linearised_balance.solve(
             right_side[:-1].reshape(self.linearised_balance.unknown.shape)
         )
         phase_condition_remainder = right_side[-1] - self._phase_condition_change(
@@ -221,7 +226,7 @@ class PhasePoint(Linearisation):
         )
         scaled_gap_change = (
             gap_change + frequency_change * self.slow_gap_derivative_by_frequency
-        ) / self._vibration_size
+        ) / self._vibrating_slow_gap_norm
         return np.append(scaled_gap_change, frequency_change / self.problem.omega)
 
     @property
@@ -262,14 +267,14 @@ class ResonanceSystem(CurveSystem):
     """Equations of a phase resonance along a factor v for the vibrating load.
 
     The unknowns are the slow gap's coefficients divided by v s_0, and the load frequency divided by
-    the problem's frequency. s_0 is the attribute ``vibration_size``. Slow gap: gap plus residual
-    flexibility times contact force.
+    the problem's frequency. s_0 is the attribute ``vibrating_slow_gap_norm``. Slow gap: gap plus
+    residual flexibility times contact force.
 
     Attributes
     ----------
     start_unknown : (n_unknowns,)
         Guess for the resonance at ``start``, from a nearby point.
-    vibration_size : float [m]
+    vibrating_slow_gap_norm : float [m]
         Norm of the slow gap's vibrating coefficients at the nearby point, divided by v.
     """
 
@@ -290,8 +295,10 @@ class ResonanceSystem(CurveSystem):
             problem.omega
         ).gap_without_static_part(nearby_point.gap, nearby_point.force)
         gap_series_without_static_part = gap_series_without_static_part / self.start
-        self.vibration_size = float(np.linalg.norm(gap_series_without_static_part[1:]))
-        self.start_unknown = np.append(gap_series_without_static_part / self.vibration_size, 1.0)
+        self.vibrating_slow_gap_norm = float(np.linalg.norm(gap_series_without_static_part[1:]))
+        self.start_unknown = np.append(
+            gap_series_without_static_part / self.vibrating_slow_gap_norm, 1.0
+        )
         self.problem, self.exciting_harmonic = balance_along_frequency.problem, exciting_harmonic
         self.n_time_means, self.shape = (
             balance_along_frequency.n_time_means,
@@ -305,7 +312,7 @@ class ResonanceSystem(CurveSystem):
         return float(unknown[-1]) * self.problem.omega
 
     def unscaled_solution(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        return self.vibration_size * value * unknown[:-1].reshape(-1, self.n_time_means)
+        return self.vibrating_slow_gap_norm * value * unknown[:-1].reshape(-1, self.n_time_means)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
         return PhasePoint(self, unknown, parameter)

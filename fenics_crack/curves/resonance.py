@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Unpack, overload
 
 from fenics_crack.balance.problem import Problem, least_harmonics
-from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.balance.solution import HarmonicBalanceSolver, PeriodicSolution
 from fenics_crack.basics.errors import (
     MAX_HARMONIC_ORDER,
     ConvergenceError,
@@ -44,7 +44,7 @@ from fenics_crack.model.contact import ContactLaw, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
+from fenics_crack.numerics.equations import SPECIAL_POINT_TOLERANCE
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_by_full_or_damped_steps
 from fenics_crack.numerics.path import (
     MIN_RESOLVED_DISTANCE,
@@ -55,14 +55,14 @@ from fenics_crack.numerics.path import (
 )
 
 PATH_TO_RESONANCE_OPTIONS = PathOptions(
-    0.05, 0.3, max_steps=300, points_per_call=8, parameter_range=(-4.0, 1.8)
+    0.05, 0.3, max_steps=300, max_path_points_per_call=8, parameter_range=(-4.0, 1.8)
 )
 """Step options for the response curve to the first resonance.
 
 The path parameter p gives the load frequency w_0 (1 - p / 2), with the start frequency w_0. The
 curve may reach from w_0 / 10 to 3 w_0.
 """
-MAX_DISTANCE_TO_PEAK = 0.1
+MAX_DISTANCE_TO_PEAK_IN_WIDTHS = 0.1
 """Maximum distance, in half-power widths, from phase resonance to largest response of one mode.
 
 Beyond, several modes answer together. At this distance the amplitude is 2 % below the top.
@@ -111,7 +111,7 @@ class Resonance(Described):
 
         Several modes then answer together, and a response curve shows the largest response.
         """
-        return not abs(self.apart) <= MAX_DISTANCE_TO_PEAK
+        return not abs(self.apart) <= MAX_DISTANCE_TO_PEAK_IN_WIDTHS
 
     def to_dict(self) -> dict[str, Any]:
         """Return frequencies, width, distance to the largest response, error and amplitude."""
@@ -154,7 +154,7 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     start_omega = from_omega * (1.0 - MIN_RESOLVED_DISTANCE)  # a linear phase is then not 0
     balance_along_frequency = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
     start_unknown = (
-        Solver(balance_along_frequency.problem_at(start_omega))
+        HarmonicBalanceSolver(balance_along_frequency.problem_at(start_omega))
         .solve()
         .gap_series_without_static_part
     )
@@ -169,7 +169,7 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
         key=lambda exciting_harmonic: abs(exciting_harmonic.complex_work(contact_point).imag),
     )
     complex_work = exciting_harmonic.complex_work(contact_point)
-    if not abs(complex_work.imag) > MAX_LOCATION_RESIDUAL * abs(complex_work):
+    if not abs(complex_work.imag) > SPECIAL_POINT_TOLERANCE * abs(complex_work):
         load_requirement = "a load that excites a mode whose damping is not almost 0"
         raise InputError("load", float(abs(problem.structure.force).max()), load_requirement)
 
@@ -219,7 +219,7 @@ def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> Phase
     system = ResonanceSystem(
         problem, resonance_point.exciting_harmonic, resonance_point.linearised_balance
     )
-    tolerance = max(MAX_LOCATION_RESIDUAL, system.rounding(0.0))
+    tolerance = max(SPECIAL_POINT_TOLERANCE, system.rounding(0.0))
     path_point = solve_by_full_or_damped_steps(
         system, system.start_unknown, 0.0, tolerance=tolerance
     )
@@ -252,7 +252,7 @@ def _refined_point_and_error(
     relative_amplitude_error, n_harmonics = math.inf, 2 * resonance_point.problem.harmonics
     while (
         relative_amplitude_error > tolerance
-        and abs(resonance_point.distance_to_peak_in_widths) <= MAX_DISTANCE_TO_PEAK
+        and abs(resonance_point.distance_to_peak_in_widths) <= MAX_DISTANCE_TO_PEAK_IN_WIDTHS
         and n_harmonics <= MAX_HARMONIC_ORDER
     ):
         try:
@@ -271,7 +271,7 @@ def _refined_point_and_error(
     return resonance_point, relative_amplitude_error
 
 
-def _find_order_crossing_and_resonance_rate(
+def _find_order_crossing_and_speed_slope(
     resonance_point: PhasePoint, engine_order: float | None
 ) -> tuple[PhasePoint, float]:
     """Find the rotor speed at which an engine order meets the resonance.
@@ -305,24 +305,24 @@ def _find_order_crossing_and_resonance_rate(
         require_run_up_structure(resonance_point.problem.structure),
         resonance_point.omega,
     )
-    speed, resonance_rate = (
+    speed, resonance_speed_slope = (
         run_up_structure.speed,
         run_up_structure.stiffening_exponent(
             resonance_omega * resonance_point.exciting_harmonic.harmonic
         ),
     )
     for _ in range(MAX_SPEED_CORRECTIONS):
-        next_speed = (resonance_omega / engine_order - resonance_rate * speed) / (
-            1.0 - resonance_rate
+        next_speed = (resonance_omega / engine_order - resonance_speed_slope * speed) / (
+            1.0 - resonance_speed_slope
         )
         if abs(next_speed - speed) <= MIN_RESOLVED_DISTANCE * speed:
-            return resonance_point, resonance_rate
+            return resonance_point, resonance_speed_slope
         resonance_point = _find_nearby_resonance(
             resonance_point,
             structure=run_up_structure.at_speed(next_speed),
             omega=engine_order * next_speed,
         )
-        resonance_rate = (
+        resonance_speed_slope = (
             (resonance_point.omega - resonance_omega) / engine_order / (next_speed - speed)
         )
         speed, resonance_omega = next_speed, resonance_point.omega
@@ -425,12 +425,12 @@ def resonance_at(
     resonance_point = first_phase_resonance(
         *_small_problem_and_start_omega(problem, near, tolerance)
     )
-    resonance_point, resonance_rate = _find_order_crossing_and_resonance_rate(
+    resonance_point, resonance_rate = _find_order_crossing_and_speed_slope(
         resonance_point, engine_order
     )
     if tolerance is not None:
         resonance_point, amplitude_error = _refined_point_and_error(resonance_point, tolerance)
-        resonance_point, resonance_rate = _find_order_crossing_and_resonance_rate(
+        resonance_point, resonance_rate = _find_order_crossing_and_speed_slope(
             resonance_point, engine_order
         )
     omega, omega_per_value = resonance_point.omega, engine_order or 1.0
@@ -536,7 +536,7 @@ def follow_resonance(
         for curve_point in growing_curve.points
     )
     n_points_far_from_peak = sum(
-        abs(resonance_point.distance_to_peak_in_widths) > MAX_DISTANCE_TO_PEAK
+        abs(resonance_point.distance_to_peak_in_widths) > MAX_DISTANCE_TO_PEAK_IN_WIDTHS
         for resonance_point in resonance_points
     )
     if n_points_far_from_peak:

@@ -67,7 +67,7 @@ from fenics_crack.motion.orbit import (
 from fenics_crack.motion.search import ORBIT_START_STRATEGY_BY_NAME, SearchOptions, search_orbit
 from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.fourier import sample_period
-from fenics_crack.numerics.newton import motion_size
+from fenics_crack.numerics.newton import root_sum_of_squares_with_limited_mean
 
 
 def monodromy_of_linear_flow(
@@ -488,7 +488,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     largest_multiplier = unstable_orbit_multipliers[largest_multiplier_index]
     start_unknown_change = eigenvectors[:, largest_multiplier_index].real
     unstable_orbit_states = orbit_nearest_to_solution.period_samples.whole_states
-    unstable_orbit_rms_motion = motion_size(
+    unstable_orbit_rms_motion = root_sum_of_squares_with_limited_mean(
         orbit_equations.state_factors * unstable_orbit_states
     ) / np.sqrt(len(unstable_orbit_states))
     start_unknown_change *= 0.01 * unstable_orbit_rms_motion / np.linalg.norm(start_unknown_change)

@@ -562,7 +562,7 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     natural_omega_nearest_to_load = excited_omegas[np.argmin(np.abs(excited_omegas - load_omega))]
     is_below_family = omegas_of_diameters < natural_omega_nearest_to_load * (1.0 - 1e-9)
     n_modes_below_family = round(
-        n_sectors * float(wheel.sector.load_shares_of_diameters @ is_below_family.sum(axis=1))
+        n_sectors * float(wheel.sector.shares_of_single_sector_load @ is_below_family.sum(axis=1))
     )
     # The range has all N modes of the excited family, and N neighbouring modes.
     mode_range = slice(

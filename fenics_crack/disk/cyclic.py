@@ -194,7 +194,7 @@ class Sector:
         return range(self.n_sectors // 2 + 1)
 
     @property
-    def load_shares_of_diameters(self) -> np.ndarray:
+    def shares_of_single_sector_load(self) -> np.ndarray:
         """Fraction of a load on sector 0 for each nodal diameter: (N/2 + 1,).
 
         A load on sector 0 alone is the sum over N equal waves around the wheel, each with the
@@ -272,11 +272,14 @@ class Sector:
         tied_stiffness = sparse.csr_matrix(
             own_and_next_tie_matrices.T @ self.stiffness @ own_and_next_tie_matrices
         )
-        side_rows = np.unique(dof_numbering.member_positions[dof_numbering.belongs_to_next_sector])
-        inside_rows = np.setdiff1d(np.arange(n_independent_dofs), side_rows)
-        right_rows = n_independent_dofs + side_rows
+        left_side_rows = np.unique(
+            dof_numbering.member_positions[dof_numbering.belongs_to_next_sector]
+        )
+        inside_rows = np.setdiff1d(np.arange(n_independent_dofs), left_side_rows)
+        right_rows = n_independent_dofs + left_side_rows
         inside_left_stiffness, inside_right_stiffness = (
-            tied_stiffness[inside_rows][:, side_columns] for side_columns in (side_rows, right_rows)
+            tied_stiffness[inside_rows][:, side_columns]
+            for side_columns in (left_side_rows, right_rows)
         )
         inside_stiffness = make_matrix_from_local_rows(
             tied_stiffness[inside_rows][:, inside_rows], MPI.COMM_SELF
@@ -287,17 +290,18 @@ class Sector:
                 for inside_side_coupling in (inside_left_stiffness, inside_right_stiffness)
             )
             condensed_side_stiffness = (
-                tied_stiffness[side_rows][:, side_rows] + tied_stiffness[right_rows][:, right_rows]
+                tied_stiffness[left_side_rows][:, left_side_rows]
+                + tied_stiffness[right_rows][:, right_rows]
                 - inside_left_stiffness.T @ inside_response_to_left_side
                 - inside_right_stiffness.T @ inside_response_to_right_side
             )  # fmt: skip
             left_right_stiffness = (
-                tied_stiffness[side_rows][:, right_rows]
+                tied_stiffness[left_side_rows][:, right_rows]
                 - inside_left_stiffness.T @ inside_response_to_right_side
             )
             yield NodalDiameterSolver(
                 self, factorised_inside_stiffness, own_and_next_tie_matrices, inside_rows,
-                side_rows,
+                left_side_rows,
                 (inside_left_stiffness, inside_right_stiffness), condensed_side_stiffness,
                 left_right_stiffness, 1.0,
             )  # fmt: skip
@@ -338,7 +342,7 @@ class NodalDiameterSolver:
     own_and_next_tie_matrices : (n_dofs, 2 n_own)
         [T_0, T_1], side by side. The displacement of sector j is T_0 m_j + T_1 m_(j+1), with the
         own dofs m_j of this sector and m_(j+1) of the next sector.
-    inside_rows, side_rows : (n_inside,), (n_side,) int
+    inside_rows, left_side_rows : (n_inside,), (n_side,) int
         Positions among the sector's own dofs: inside, and on the left side.
     inside_left_and_right_stiffness : pair of (n_inside, n_side)
         Stiffness [N/m] between inside and left side, then between inside and right side.
@@ -352,7 +356,7 @@ class NodalDiameterSolver:
     factorised_inside_stiffness: Factor
     own_and_next_tie_matrices: sparse.csr_matrix
     inside_rows: np.ndarray
-    side_rows: np.ndarray
+    left_side_rows: np.ndarray
     inside_left_and_right_stiffness: tuple[sparse.csr_matrix, sparse.csr_matrix]
     condensed_side_stiffness: np.ndarray
     left_right_stiffness: np.ndarray
@@ -443,8 +447,8 @@ class NodalDiameterSolver:
         displacement = np.zeros(
             (self.own_and_next_tie_matrices.shape[1], left_displacement.shape[1])
         )
-        displacement[self.side_rows] = left_displacement
-        displacement[len(displacement) // 2 + self.side_rows] = right_displacement
+        displacement[self.left_side_rows] = left_displacement
+        displacement[len(displacement) // 2 + self.left_side_rows] = right_displacement
         inside_left_stiffness, inside_right_stiffness = self.inside_left_and_right_stiffness
         displacement[self.inside_rows] = inside_motion - self.solve_inside(
             inside_left_stiffness @ left_displacement + inside_right_stiffness @ right_displacement
@@ -460,11 +464,11 @@ class NodalDiameterSolver:
         """
         inside_motion = self.solve_inside(forces[self.inside_rows])
         inside_side_stiffness = self.inside_side_stiffness
-        side_force = forces[self.side_rows] - inside_side_stiffness.conj().T @ inside_motion
+        side_force = forces[self.left_side_rows] - inside_side_stiffness.conj().T @ inside_motion
         displacement = np.empty(
             forces.shape, dtype=np.result_type(forces, self.side_stiffness_inverse)
         )
-        displacement[self.side_rows] = side_motion = self.side_stiffness_inverse @ side_force
+        displacement[self.left_side_rows] = side_motion = self.side_stiffness_inverse @ side_force
         displacement[self.inside_rows] = inside_motion - self.solve_inside(
             inside_side_stiffness @ side_motion
         )
@@ -572,7 +576,7 @@ class CyclicBasis:
     cyclic_modes : CyclicModes
         Lowest modes of each nodal diameter, together with static responses to the load and to
         forces on sides.
-    sector_displacements_by_openings : (N, n_dofs, m)
+    wheel_displacements_by_openings : (N, n_dofs, m)
         Static displacements of all sectors while the crack in sector 0 is open, for m opening
         shapes. In sector 0, ``crack_opening_shapes`` are not included.
     crack_opening_shapes : (n_dofs, m)
@@ -582,7 +586,7 @@ class CyclicBasis:
     """
 
     cyclic_modes: CyclicModes
-    sector_displacements_by_openings: np.ndarray
+    wheel_displacements_by_openings: np.ndarray
     crack_opening_shapes: np.ndarray
     cracked_sectors: tuple[int, ...]
 
@@ -623,7 +627,7 @@ class CyclicBasis:
             ]
             complex_motion = (
                 np.exp(1j * wave_angle)
-                * np.sqrt(sector.load_shares_of_diameters[diameter])
+                * np.sqrt(sector.shares_of_single_sector_load[diameter])
                 * shapes[rows]
             )
             motion_blocks += (
@@ -638,7 +642,7 @@ class CyclicBasis:
             )
             n_sectors_ahead = (sector_index - cracked_sector_index) % sector.n_sectors
             motion_blocks.append(
-                self.sector_displacements_by_openings[n_sectors_ahead, rows] + own_opening
+                self.wheel_displacements_by_openings[n_sectors_ahead, rows] + own_opening
             )
         return np.hstack(motion_blocks)
 
@@ -657,7 +661,7 @@ class CyclicBasis:
         matrix_times_responses = np.array(
             [
                 matrix @ displacements_of_sector
-                for displacements_of_sector in self.sector_displacements_by_openings
+                for displacements_of_sector in self.wheel_displacements_by_openings
             ]
         )
         matrix_times_openings = matrix @ self.crack_opening_shapes
@@ -783,7 +787,7 @@ def make_cyclic_basis(
         bond_forces_on_own_dofs = sparse.csr_matrix(
             zero_diameter_solver.own_and_next_tie_matrices.T @ bond_force_columns
         )
-        left_rows = zero_diameter_solver.side_rows
+        left_rows = zero_diameter_solver.left_side_rows
         right_rows = len(sector.dof_numbering.own_members) + left_rows
         inside_bond_forces = bond_forces_on_own_dofs[zero_diameter_solver.inside_rows].toarray()
         side_bond_forces = (
@@ -964,7 +968,7 @@ def _compute_crack_bond_forces(
     return np.hstack([bond_forces.real, bond_forces.imag])
 
 
-MIN_BOND_PATTERN_SINGULAR_VALUE = 1e-5
+MIN_BOND_FORCE_PATTERN_SIZE = 1e-5
 """Minimum size [-] of a kept bond-force pattern.
 
 The squared size is the pattern's relative change of w^2 or the load's work, if the crack opens.
@@ -979,7 +983,7 @@ def _find_opening_shapes(
 
     The displacements are responses to contact forces and to bond forces. Bond forces hold a closed
     crack together. All bond forces are split into orthogonal patterns. Patterns smaller than
-    ``MIN_BOND_PATTERN_SINGULAR_VALUE`` are left out.
+    ``MIN_BOND_FORCE_PATTERN_SIZE`` are left out.
 
     Parameters
     ----------
@@ -1024,10 +1028,7 @@ def _find_opening_shapes(
         full_matrices=False,
     )
     kept_force_patterns = np.hstack(
-        [
-            contact_force_basis,
-            bond_force_patterns[:, pattern_sizes > MIN_BOND_PATTERN_SINGULAR_VALUE],
-        ]
+        [contact_force_basis, bond_force_patterns[:, pattern_sizes > MIN_BOND_FORCE_PATTERN_SIZE]]
     )
     return scipy.linalg.solve_triangular(stiffness_cholesky_factor.T, kept_force_patterns)
 

@@ -106,15 +106,15 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
                 f"has no {side_name!r}",
             )
     left_nodes, right_nodes = (dofs.nodes_on(side_name) for side_name in side_names)
-    spatial_points = np.pad(mesh_node_points, ((0, 0), (0, 3 - mesh_node_points.shape[1])))
+    mesh_node_points_in_3d = np.pad(mesh_node_points, ((0, 0), (0, 3 - mesh_node_points.shape[1])))
     turn_angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
     rotation_matrices = [
         Rotation.from_rotvec(turn_angle * axis_direction).as_matrix() for turn_angle in turn_angles
     ]
     matches_by_turn_direction = [
         _find_partners_and_largest_distance(
-            (spatial_points[left_nodes] - center) @ rotation_matrix.T + center,
-            spatial_points[right_nodes],
+            (mesh_node_points_in_3d[left_nodes] - center) @ rotation_matrix.T + center,
+            mesh_node_points_in_3d[right_nodes],
         )
         for rotation_matrix in rotation_matrices
     ]
@@ -158,9 +158,9 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     InputError
         The crack reaches a side, or the nodes on both crack faces do not match.
     """
-    mesh_node_points, side_node_pairs = dofs.points, dofs.side_node_pairs
-    node_rotations = dofs.frame_rotation_matrix_by_node
-    assert side_node_pairs is not None and node_rotations is not None
+    mesh_node_points, sector_side_node_pairs = dofs.points, dofs.sector_side_node_pairs
+    node_rotations = dofs.frame_to_space_rotation_by_node
+    assert sector_side_node_pairs is not None and node_rotations is not None
     crack_face_nodes = np.zeros((2, 0), dtype=int)
     if dofs.part_mesh.has_cracks:  # tips belong to both faces and need no bond
         lower_crack_face_nodes, upper_crack_face_nodes = (
@@ -190,7 +190,7 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
         crack_face_nodes = np.array(
             [lower_crack_face_nodes, upper_crack_face_nodes[upper_partner_indices]]
         )
-    if len(common_nodes := np.intersect1d(crack_face_nodes, side_node_pairs)):
+    if len(common_nodes := np.intersect1d(crack_face_nodes, sector_side_node_pairs)):
         node_position_text = format_point(mesh_node_points[common_nodes[0]])
         raise InputError(
             "lips",
@@ -198,13 +198,13 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
             f"one inside the sector; it reaches a side of the sector at {node_position_text} m",
         )
     center = scene.axis_point_and_direction[0][: mesh_node_points.shape[1]]
-    rotation_matrix = node_rotations[side_node_pairs[1, 0]]
+    rotation_matrix = node_rotations[sector_side_node_pairs[1, 0]]
     return Sector(
         structure,
         scene.given("disk").sectors,
         center,
         rotation_matrix,
-        side_node_pairs,
+        sector_side_node_pairs,
         crack_face_nodes,
         structure.stiffness,
     )

@@ -70,7 +70,7 @@ class WheelBody(Body):
     order: int
     families: int
     wheel_dof_numbers: np.ndarray
-    flat_sector_member_indices: np.ndarray
+    flat_sector_dofs_by_wheel_dof: np.ndarray
 
 
 @keep_old_attribute_names(blade_of="blade_and_sector_dof_of", numbers="wheel_dofs_by_sector")
@@ -106,7 +106,7 @@ class Wheel(Structure):
     mistuning: np.ndarray = body_property("mistuning")
     order: int = body_property("order")
     wheel_dofs_by_sector: np.ndarray = body_property("wheel_dof_numbers")
-    places: np.ndarray = body_property("flat_sector_member_indices")
+    places: np.ndarray = body_property("flat_sector_dofs_by_wheel_dof")
 
     def __init__(
         self,
@@ -124,13 +124,13 @@ class Wheel(Structure):
         sector_structure, n_sectors = sector.structure, sector.n_sectors
         sector_tangential_gap_matrix = sector_structure.tangential
         cracked = tuple(cracked) if sector_structure.n_pairs else ()
-        wheel_dof_numbers, flat_sector_member_indices = sector.dof_numbering.number_wheel_members(
-            n_sectors, cracked
+        wheel_dof_numbers, flat_sector_dofs_by_wheel_dof = (
+            sector.dof_numbering.number_wheel_members(n_sectors, cracked)
         )
-        absent_matrix = AbsentMatrix(len(flat_sector_member_indices), comm.rank)
+        absent_matrix = AbsentMatrix(len(flat_sector_dofs_by_wheel_dof), comm.rank)
         own_rows = slice(None if comm.rank == 0 else 0)
         wheel_to_sector_dofs_matrix = make_selection_matrix(
-            wheel_dof_numbers.ravel(), len(flat_sector_member_indices)
+            wheel_dof_numbers.ravel(), len(flat_sector_dofs_by_wheel_dof)
         )
         cracked_sector_selection_matrix = np.eye(n_sectors)[:, list(cracked)]
 
@@ -176,7 +176,7 @@ class Wheel(Structure):
             sector=sector, cracked_sectors=cracked,
             mistuning=_read_deviations(mistuning, n_sectors), order=order, families=families,
             wheel_dof_numbers=wheel_dof_numbers,
-            flat_sector_member_indices=flat_sector_member_indices,
+            flat_sector_dofs_by_wheel_dof=flat_sector_dofs_by_wheel_dof,
         )  # fmt: skip
         super().__init__(wheel_body)
 
@@ -431,10 +431,12 @@ def _make_wheel_nodes(
     node_numbering = SectorNumbering(
         np.arange(n_sector_nodes)[:, None], sector.side_nodes, sector.crack_face_nodes
     )
-    wheel_node_numbers, flat_sector_member_indices = node_numbering.number_wheel_members(
+    wheel_node_numbers, flat_sector_dofs_by_wheel_dof = node_numbering.number_wheel_members(
         sector.n_sectors, cracked_sectors
     )
-    sector_index, sector_node_index = divmod(flat_sector_member_indices[own_rows], n_sector_nodes)
+    sector_index, sector_node_index = divmod(
+        flat_sector_dofs_by_wheel_dof[own_rows], n_sector_nodes
+    )
     sector_rotation_matrices = np.array(
         [sector.rotation_matrix(n_sector_steps) for n_sector_steps in range(sector.n_sectors)]
     )
@@ -481,7 +483,7 @@ def _make_wheel_pairs(sector: Sector, cracked_sectors: tuple[int, ...]) -> Pairs
 # --- in few coordinates ---------------------------------------------------------------------------
 
 
-N_FURTHER_REFERENCE_MODES = 16
+N_EXTRA_ERROR_REFERENCE_MODES = 16
 """Number of modes in the reference for the reduction error, beyond the kept modes.
 
 On ten wheels, 16 modes cover 0.53 to 0.99 of the change by all neglected modes; eight modes cover
@@ -593,7 +595,7 @@ class WheelInFewCoordinates(Structure):
 
         - the ``n_first`` lowest modes,
         - the ``n_more`` modes with the largest effect on the gaps,
-        - the next N_FURTHER_REFERENCE_MODES modes by this effect.
+        - the next N_EXTRA_ERROR_REFERENCE_MODES modes by this effect.
 
         Let w_j be the frequency of mode j, and psi_ij the gap at contact pair i in this mode. The
         mode contributes (psi_ij / w_j)^2 to the pair's static compliance. At load frequency w,
@@ -616,7 +618,7 @@ class WheelInFewCoordinates(Structure):
             -compliance_change_by_inertia[n_first:], kind="stable"
         )
         reference_indices = np.sort(
-            mode_indices_by_falling_effect[n_more : n_more + N_FURTHER_REFERENCE_MODES]
+            mode_indices_by_falling_effect[n_more : n_more + N_EXTRA_ERROR_REFERENCE_MODES]
         )
         first_indices, next_indices = (
             np.arange(n_first),
@@ -682,11 +684,11 @@ class WheelInFewCoordinates(Structure):
         In ``dofs``, None is the watched dof.
         """
         wheel = self.whole
-        flat_sector_member_indices = wheel.places[wheel.as_dof_numbers(dofs)]
-        dof_motions = self.basis.sector_motions(
-            *divmod(flat_sector_member_indices, wheel.sector.structure.n_dofs)
+        flat_sector_dofs_by_wheel_dof = wheel.places[wheel.as_dof_numbers(dofs)]
+        basis_rows_of_dofs = self.basis.sector_motions(
+            *divmod(flat_sector_dofs_by_wheel_dof, wheel.sector.structure.n_dofs)
         )
-        return np.asarray(displacement @ dof_motions.T)
+        return np.asarray(displacement @ basis_rows_of_dofs.T)
 
 
 def _solve_all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
@@ -803,7 +805,7 @@ def reduce_wheel(
     )
     n_modes += more
     n_reference_modes = reference and min(
-        n_modes + N_FURTHER_REFERENCE_MODES, wheel_in_few_coordinates.n_dofs
+        n_modes + N_EXTRA_ERROR_REFERENCE_MODES, wheel_in_few_coordinates.n_dofs
     )
     reduced_structure = reduce_structure(
         wheel_in_few_coordinates, modes=n_modes, method="massless", reference=n_reference_modes

@@ -147,7 +147,7 @@ class _MovingMesh:
         Moving objects, as pyvista's PolyData.
     unit_arrow_points : (n, 3)
         Points of an arrow of unit length along x.
-    dot_offset_vector : (3,) [m]
+    dot_and_arrow_viewer_shift : (3,) [m]
         Shift of contact dots and load arrow towards the viewer of a plate; 0 in a solid.
     arrow_starts, arrow_vectors : (n_frames, d) [m]
         Start and vector of the load arrow in each frame.
@@ -188,7 +188,7 @@ class _MovingMesh:
             tip_length=0.45, tip_radius=0.16, shaft_radius=0.055
         )
         self.unit_arrow_points = self.load_arrow.points.copy()
-        self.dot_offset_vector = np.array(
+        self.dot_and_arrow_viewer_shift = np.array(
             [0.0, 0.0, 0.0 if is_solid else 2.0 * self.line_height_above_plate]
         )
         self.arrow_starts, self.arrow_vectors = _find_arrow_starts_and_vectors(fields)
@@ -250,7 +250,8 @@ class _MovingMesh:
             fields.nodal_force_per_pair_force / fields.nodal_force_per_pair_force.sum(axis=0)
         ).T
         self.contact_dots.points = (
-            vtk.pad_to_space(pair_average_matrix @ magnified_points) + self.dot_offset_vector
+            vtk.pad_to_space(pair_average_matrix @ magnified_points)
+            + self.dot_and_arrow_viewer_shift
         )
         self.contact_dots.verts = np.insert(
             np.argwhere(fields.contact_forces[frame_index] > 0.0), 0, 1, axis=1
@@ -263,7 +264,7 @@ class _MovingMesh:
         arrow_basis_vectors[0] *= np.sign(arrow_basis_vectors[0] @ load_arrow_vector)
         self.load_arrow.points = (
             arrow_start
-            + self.dot_offset_vector
+            + self.dot_and_arrow_viewer_shift
             + arrow_length * (self.unit_arrow_points @ arrow_basis_vectors)
         )
 
@@ -325,7 +326,7 @@ def _write_gif(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> 
         append_images=quantized_frame_images[1:],
         duration=max(20, 10 * round(300.0 / len(frame_images))),  # in steps of 10 ms, 3 s in all
         loop=0,
-        comment=frame_layout.caption_without_phase.encode("latin-1"),
+        comment=frame_layout.caption_text_without_phase.encode("latin-1"),
     )
     write_file_whole(path, gif_stream.getvalue())
 
@@ -413,7 +414,7 @@ class _GifFrameLayout:
         Position of the dot in each frame: time in load periods, and opening or displacement [m].
     plate_size, plate_corner : (int, int)
         Width and height of the structure's image, and left and top edge of this image [pixels].
-    caption_without_phase : str
+    caption_text_without_phase : str
         Caption with frequency and magnification, without the frame's phase.
     caption_artist, time_line, wave_dot
         Matplotlib's artists that change from frame to frame.
@@ -433,14 +434,14 @@ class _GifFrameLayout:
         load_or_motion_word = "load" if fields.has_load_arrow else "motion"
         frequency_text = f"{solution.omega:.5g} rad/s ({solution.omega / (2.0 * np.pi):.4g} Hz)"
         magnification_text = f"{float(f'{fields.magnification:.3g}'):.10g}"
-        self.caption_without_phase = (
+        self.caption_text_without_phase = (
             f"{load_or_motion_word} at {frequency_text}, displacement × {magnification_text}"
         )
         self.caption_artist = self.figure.text(
             0.06, 0.932, "", va="center", fontsize=12, animated=True
         )
         _draw_colour_bar(self.figure, colour_scale)
-        self._draw_legend(fields)
+        self._draw_legend_of_parts(fields)
         self._draw_displacement_curve(solution, fields)
         self.agg_canvas.draw()
         self.background_pixels = self.agg_canvas.copy_from_bbox(self.figure.bbox)
@@ -461,7 +462,7 @@ class _GifFrameLayout:
         self.wave_dot.set_data([frame_time_in_load_periods], [self.frame_values[frame_index]])
         self.time_line.set_xdata([frame_time_in_load_periods, frame_time_in_load_periods])
         self.caption_artist.set_text(
-            f"{self.caption_without_phase}, phase {360.0 * frame_time_in_load_periods:.0f}°"
+            f"{self.caption_text_without_phase}, phase {360.0 * frame_time_in_load_periods:.0f}°"
         )
         for artist in (self.time_line, self.wave_dot, self.caption_artist):
             self.figure.draw_artist(artist)
@@ -474,7 +475,7 @@ class _GifFrameLayout:
         )
         return page_image
 
-    def _draw_legend(self, fields: PeriodFields) -> None:
+    def _draw_legend_of_parts(self, fields: PeriodFields) -> None:
         """Draw the legend, with entries for what the structure has: clamp, load, crack faces."""
         legend_rows = (
             ("at rest", True, "rest", 1.5, None),

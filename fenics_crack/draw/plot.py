@@ -43,7 +43,7 @@ from fenics_crack.numerics.fourier import to_complex
 if TYPE_CHECKING:  # which loads DOLFINx
     from fenics_crack.runs.stress_intensity import StressIntensity
 
-DOUBTFUL_POINTS_LABEL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
+UNSTABLE_OR_INACCURATE_LABEL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
 """Legend entry of doubtful points of a curve or cells of a map, with the limit of 5 %."""
 DOUBTFUL_HATCH_COLOUR = "#ffffff"
 """Colour of the lines that hatch doubtful cells of a map: white."""
@@ -451,7 +451,7 @@ def draw_response(
             color=CURVE_COLOUR_CODE_BY_NAME["grey"],
             mfc="none",
             ms=dot_size + 4.0,
-            label=DOUBTFUL_POINTS_LABEL,
+            label=UNSTABLE_OR_INACCURATE_LABEL,
         )
     panel.set_xlabel(over)
     label_axis(panel.yaxis, quantity, unit)
@@ -552,7 +552,7 @@ def draw_map(
             facecolor="none", **doubtful_hatch_options
         )
         legend_patches.append(
-            Patch(label=DOUBTFUL_POINTS_LABEL, facecolor="#3b528b", **doubtful_hatch_options)
+            Patch(label=UNSTABLE_OR_INACCURATE_LABEL, facecolor="#3b528b", **doubtful_hatch_options)
         )
     panel.set(xlabel=x_label, ylabel=y_label)
     if legend_patches and picture.has_legend:

@@ -100,7 +100,7 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
             zorder=3,
         )
     # Dozens of arrows at one node would hide each other.
-    if len(nodal_load_fourier_parts) > len(LOAD_ARROW_LABELS):
+    if len(nodal_load_fourier_parts) > len(LOAD_PART_ARROW_LABELS):
         largest_further_load_part_index = 3 + int(
             np.argmax(np.linalg.norm(nodal_load_fourier_parts[3:], axis=(1, 2)))
         )
@@ -111,10 +111,10 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     has_several_load_parts = len(nonzero_load_part_indices) > 1
     for load_part_index in nonzero_load_part_indices:
         legend_label = (
-            f"load, {LOAD_ARROW_LABELS[load_part_index]}" if has_several_load_parts else "load"
+            f"load, {LOAD_PART_ARROW_LABELS[load_part_index]}" if has_several_load_parts else "load"
         )
         colour = (
-            LOAD_ARROW_COLOURS[load_part_index]
+            LOAD_PART_ARROW_COLOURS[load_part_index]
             if has_several_load_parts
             else CURVE_COLOUR_CODE_BY_NAME["pink"]
         )
@@ -130,9 +130,9 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     return picture.draw_legends_and_save()
 
 
-LOAD_ARROW_LABELS = ("mean", "cosine part", "sine part", "largest further harmonic")
+LOAD_PART_ARROW_LABELS = ("mean", "cosine part", "sine part", "largest further harmonic")
 """Legend entries of the load's arrows: the rows of the load that are drawn."""
-LOAD_ARROW_COLOURS = (
+LOAD_PART_ARROW_COLOURS = (
     CURVE_COLOUR_CODE_BY_NAME["grey"],
     CURVE_COLOUR_CODE_BY_NAME["blue"],
     CURVE_COLOUR_CODE_BY_NAME["pink"],

@@ -407,10 +407,10 @@ def _set_log_scale_if_any_positive(axes: Axes, values: np.ndarray) -> float:
 def _draw_fitted_harmonics(axes: Axes, fit: TipFit) -> None:
     """Draw the amplitudes of a fit's harmonics with their standard errors."""
     multiples, amplitudes, standard_errors = fit.multiples, fit.amplitudes, fit.amplitude_errors
-    amplitudes_and_errors = np.append(amplitudes, standard_errors)
-    axis_bottom = _set_log_scale_if_any_positive(axes, amplitudes_and_errors)
+    values_for_axis_limits = np.append(amplitudes, standard_errors)
+    axis_bottom = _set_log_scale_if_any_positive(axes, values_for_axis_limits)
     if axis_bottom > 0.0:
-        axes.set_ylim(axis_bottom, 2.0 * np.nanmax(amplitudes_and_errors))
+        axes.set_ylim(axis_bottom, 2.0 * np.nanmax(values_for_axis_limits))
     axes.errorbar(
         multiples,
         amplitudes,

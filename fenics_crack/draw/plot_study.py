@@ -102,7 +102,7 @@ def draw_posterior(
             branch.axes[y_index],
             *posterior.compute_pair_mass_and_density(branch_name, x_index, y_index),
         )
-        for branch_name, branch in posterior.branch_by_words.items()
+        for branch_name, branch in posterior.posterior_by_text_values.items()
     }
     log_levels = _contour_log_levels(list(grids_by_branch.values()))
     shown_points = [np.array([[found.estimate[x], found.estimate[y]]])]
@@ -139,7 +139,7 @@ def draw_posterior(
     panel.plot(
         *shown_points[0].T, "+", label="estimate", color="black", ms=10, mew=1.5, clip_on=False
     )
-    grid_values_of_unknowns = next(iter(posterior.branch_by_words.values())).axes
+    grid_values_of_unknowns = next(iter(posterior.posterior_by_text_values.values())).axes
     _set_limits(
         panel,
         np.concatenate(shown_points),
@@ -159,13 +159,13 @@ def _draw_density(panel: Axes, identification: Identification, key: str) -> None
     key_index, posterior = identification.unknown.index(key), identification.posterior
     interval_start, interval_end = identification.intervals[key]
     lines_by_branch = {}
-    for branch_name, branch in posterior.branch_by_words.items():
+    for branch_name, branch in posterior.posterior_by_text_values.items():
         other_axes = tuple(
             axis_index for axis_index in range(len(branch.axes)) if axis_index != key_index
         )
         density = posterior.grid_probabilities_by_words[branch_name].sum(
             axis=other_axes
-        ) / branch.prior_probabilities.sum(axis=other_axes)
+        ) / branch.grid_prior_probabilities.sum(axis=other_axes)
         unknown_values = np.unique([*branch.axes[key_index], interval_start, interval_end])
         lines_by_branch[branch_name] = (
             unknown_values,

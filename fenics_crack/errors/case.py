@@ -35,7 +35,7 @@ from fenics_crack.balance.harmonic_balance import (
     truncated_orbit_solution,
 )
 from fenics_crack.balance.problem import Problem, least_harmonics
-from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.balance.solution import HarmonicBalanceSolver, PeriodicSolution
 from fenics_crack.basics.causes import ERROR_CAUSES
 from fenics_crack.basics.errors import InputError
 from fenics_crack.errors.convergence import GridConvergence, PartOrReason
@@ -60,7 +60,7 @@ MODE_COUNTS_FOR_FRICTION_EFFECT = 20, 10
 The second number gives a second result, to estimate the error of the effect. With 40 modes an orbit
 takes three times as long, and ten times if the search is hard.
 """
-SLIDING_ACROSS_LINES_SAFETY_FACTOR = 2.0
+TRANSVERSE_SLIDING_SAFETY_FACTOR = 2.0
 """Safety factor on the error r |f_0 - f| due to sliding across friction lines.
 
 A friction line is the direction along which a pair's friction acts. f is a quantity of the answer,
@@ -300,7 +300,7 @@ class JudgedAnswer:
                 N_ORBIT_START_HARMONICS * n_periods,
                 subharmonic=n_periods,
             )
-            orbit = Solver(balance_problem).solve(answer).assessment.nearest_orbit
+            orbit = HarmonicBalanceSolver(balance_problem).solve(answer).assessment.nearest_orbit
             if orbit is None:
                 break
             orbit_study = replace(study, structure=reduced_structure, contact=contact_law)
@@ -346,7 +346,7 @@ class JudgedAnswer:
                 (0.0, 1.0),
                 (value, value_with_turning),
                 "two parameter values",
-                factor=SLIDING_ACROSS_LINES_SAFETY_FACTOR,
+                factor=TRANSVERSE_SLIDING_SAFETY_FACTOR,
             )
         return (structure.n_modes, structure.n_modes), convergence_by_name
 
@@ -478,11 +478,11 @@ def solve_by_orbit_or_harmonics(
     return all_harmonics_solution if search_outcome.has_converged else half_harmonics_solution
 
 
-def _make_solver(study: Study, omega: float, n_harmonics: int) -> Solver:
+def _make_solver(study: Study, omega: float, n_harmonics: int) -> HarmonicBalanceSolver:
     """Make the harmonic-balance solver for a study at ``omega`` [rad/s].
 
     In a solid, friction acts along each pair's main sliding direction (:func:`slide_along_lines`).
     """
     assert study.contact is not None
     contact_law = slide_along_lines(study.structure, omega, study.contact)
-    return Solver(Problem(study.structure, omega, contact_law, n_harmonics))
+    return HarmonicBalanceSolver(Problem(study.structure, omega, contact_law, n_harmonics))

@@ -313,7 +313,7 @@ class OrbitTruncatedToHarmonics(ObservedMotion):
         """Load frequency [rad/s]."""
         return self.orbit.omega
 
-    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[MotionRecord]:
+    def yield_motion_records(self, rows: np.ndarray) -> Iterator[MotionRecord]:
         """Yield records of m signals over the orbit's period.
 
         Each record has the orbit's samples in time, and the Fourier coefficients up to the harmonic
@@ -328,7 +328,7 @@ class OrbitTruncatedToHarmonics(ObservedMotion):
         coefficient_rows = self.orbit.product_coefficients(rows, self.harmonics)
         return (
             replace(record, coefficients=coefficient_rows)
-            for record in self.orbit.yield_records_of_row_products(rows)
+            for record in self.orbit.yield_motion_records(rows)
         )
 
 
@@ -391,7 +391,7 @@ def measure_absolute_changes_by_name(
     watched_dofs = [point.dof for point in study.watched]
     record, other_record = (
         next(
-            motion.yield_records_of_row_products(
+            motion.yield_motion_records(
                 dof_selection_rows(motion.structure, watched_dofs),
                 INSTANTS_PER_PERIOD * motion.subharmonic,
             )

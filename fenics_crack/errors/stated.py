@@ -71,7 +71,7 @@ from fenics_crack.balance.error_report import (
 )
 from fenics_crack.balance.more_modes import more_modes_structure_of
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.causes import REDUCED_STRUCTURE_ERROR_CAUSES, STATED_ERROR_CAUSES
+from fenics_crack.basics.causes import ERROR_CAUSES_IF_REDUCED, STATED_ERROR_CAUSES
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import Place, observable_names
 from fenics_crack.basics.tables import choose_frequency_factor_name_unit
@@ -128,7 +128,7 @@ HARMONIC_COUNT_FACTORS = 2, 4
 The second run is made only if the answer's error report has a truncation error above
 :data:`LARGE_ERROR`, 5 %.
 """
-MIN_TRIED_RESONANCE_SHIFTS, MAX_TRIED_RESONANCE_SHIFTS = 3, 8
+MIN_NUMBER_OF_TRIED_RESONANCES, MAX_NUMBER_OF_TRIED_RESONANCES = 3, 8
 """Minimum and maximum number of extrapolated resonances w_e tried for the shift error."""
 MAX_MODES_FOR_MESH_ERROR = 50
 """Maximum number of modes in the runs for a mesh error.
@@ -136,7 +136,7 @@ MAX_MODES_FOR_MESH_ERROR = 50
 With 120 modes the breathing plate's orbits take 14 times as long; the mesh error changes by less
 than the modal error.
 """
-ADDED_FRACTION_OF_SMALLER_MESH_ERROR = 0.1
+ADDED_FRACTION_OF_CANCELLING_ERROR = 0.1
 """Fraction of the smaller error, shape or shift, added as uncertainty: both may cancel."""
 Motion = PeriodicOrbit | PeriodicSolution
 """Motion with quantities to compare: an exact orbit or a harmonic-balance solution."""
@@ -332,7 +332,7 @@ def estimate_solution_errors(
     verification = Verification(study.scene, numbers.values_by_name, numbers.unit_by_name)
     if not is_small(study.structure):  # three more solutions take three times as long
         reason_by_cause = dict.fromkeys(
-            REDUCED_STRUCTURE_ERROR_CAUSES,
+            ERROR_CAUSES_IF_REDUCED,
             "errors are estimated for reduced structures only; set reduction.method",
         )
         return replace(verification, unknown=reason_by_cause)
@@ -420,18 +420,18 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             return "all modes are kept"
         assert isinstance(structure, ReducedStructure)
         larger_study = replace(self.study, structure=structure_with_more_modes)
-        base_motion, motion_with_more_modes = self._find_motions_with_kept_and_more_modes(
-            larger_study
+        motion_with_kept_modes, motion_with_more_modes = (
+            self._find_motions_with_kept_and_more_modes(larger_study)
         )
         has_truncated_harmonics = isinstance(motion_with_more_modes, PeriodicSolution)
-        base_values = None if has_truncated_harmonics else self.orbit_values_by_name
+        orbit_values_or_none = None if has_truncated_harmonics else self.orbit_values_by_name
         values_with_more_modes = add_changes(
             self.balance_quantities.values_by_name,
-            base_values or self.compute_values_by_name(base_motion),
+            orbit_values_or_none or self.compute_values_by_name(motion_with_kept_modes),
             self.compute_values_by_name(motion_with_more_modes, larger_study),
         )
         change_lower_bound_by_name = measure_absolute_changes_by_name(
-            self.study, base_motion, motion_with_more_modes
+            self.study, motion_with_kept_modes, motion_with_more_modes
         )
         if (
             has_truncated_harmonics
@@ -606,7 +606,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             Element counts in both meshes, and the error by quantity name. Without a coarser mesh,
             a text with the reason.
         """
-        few_modes_answer = self._answer_with_few_modes()
+        few_modes_answer = self._answer_with_few_modes_for_mesh_error()
         part_or_reason = few_modes_answer._estimate_error_by_coarser_mesh()
         if few_modes_answer is self or isinstance(part_or_reason, str):
             return part_or_reason
@@ -629,7 +629,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             )
         return element_counts, convergence_by_name
 
-    def _answer_with_few_modes(self) -> AnswerJudgedByExtraRuns:
+    def _answer_with_few_modes_for_mesh_error(self) -> AnswerJudgedByExtraRuns:
         """Solve again with at most 50 modes, :data:`MAX_MODES_FOR_MESH_ERROR` (collective).
 
         Return a copy of this object with the smaller study and solution. If the structure has no
@@ -746,7 +746,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             ).max()
             error = math.hypot(
                 np.abs(errors_without_resonance_shift + errors_by_resonance_shift).max(),
-                ADDED_FRACTION_OF_SMALLER_MESH_ERROR * smaller_error_part,
+                ADDED_FRACTION_OF_CANCELLING_ERROR * smaller_error_part,
                 values_with_shifted_clearance.get(quantity_name, value) - value,
                 K_I_error_at_closed_front_by_name.get(quantity_name, 0.0),
                 relative_increase_by_halving.get(quantity_name, 0.0) * value,
@@ -806,8 +806,8 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         """Choose how many resonance frequencies to try in a range of shifts.
 
         Neighbouring frequencies are at most a quarter of the peak's half-power width apart. But the
-        number is at least :data:`MIN_TRIED_RESONANCE_SHIFTS`, 3, and at most
-        :data:`MAX_TRIED_RESONANCE_SHIFTS`, 8.
+        number is at least :data:`MIN_NUMBER_OF_TRIED_RESONANCES`, 3, and at most
+        :data:`MAX_NUMBER_OF_TRIED_RESONANCES`, 8.
 
         Parameters
         ----------
@@ -832,8 +832,8 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             / max(damping_rates[mode_number - 1], MAX_RELATIVE_ROUNDING_SPREAD * natural_omega)
         )
         return min(
-            max(1 + n_intervals_between_shifts, MIN_TRIED_RESONANCE_SHIFTS),
-            MAX_TRIED_RESONANCE_SHIFTS,
+            max(1 + n_intervals_between_shifts, MIN_NUMBER_OF_TRIED_RESONANCES),
+            MAX_NUMBER_OF_TRIED_RESONANCES,
         )
 
     def _find_mode_affecting_answer_most(self) -> int:
@@ -897,13 +897,13 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         Return values by quantity name; without cracks, the dict is empty.
         """
         study = self.study
-        balance_solution = self.balance_solution
+        unshifted_solution = self.balance_solution
         times = self.balance_solution.instants()
         crack_index_of_pairs = study.structure.pairs.cracks
         if crack_index_of_pairs is None or not len(crack_index_of_pairs):
             return {}
-        gap_samples = balance_solution.gap(times)
-        is_closed_at_times = balance_solution.contact_force(times) > 0.0
+        gap_samples = unshifted_solution.gap(times)
+        is_closed_at_times = unshifted_solution.contact_force(times) > 0.0
         clearance_shifts = np.zeros(len(crack_index_of_pairs))
         for crack_index in np.unique(crack_index_of_pairs):
             is_pair_of_crack = crack_index_of_pairs == crack_index
@@ -922,8 +922,10 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
                 * np.ptp(closed_share_of_pairs)
             )
         shifted_study = replace(study, structure=study.structure.varied(clearance=clearance_shifts))
-        solution = self._solve_run(shifted_study, balance_solution.omega, balance_solution)
-        return self.compute_values_by_name(solution, shifted_study)
+        solution_with_shifted_clearance = self._solve_run(
+            shifted_study, unshifted_solution.omega, unshifted_solution
+        )
+        return self.compute_values_by_name(solution_with_shifted_clearance, shifted_study)
 
 
 def _without_refused_stress_intensities(study: Study) -> Study:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 from fenics_crack.basics.causes import (
     ERROR_CAUSES,
     MESH_ERROR_CAUSES,
-    OPTIONAL_ERROR_CAUSES,
+    OMITTABLE_ERROR_CAUSES,
     REQUIRED_ERROR_CAUSES,
 )
 from fenics_crack.basics.errors import DEFAULT_ERROR_TOLERANCE, check_choice
@@ -44,7 +44,7 @@ CONVERGENCE_DOUBT_BY_BEHAVIOUR = {
     "irregular": "the runs do not converge, so 3 times their spread is the error; refine further",
 }
 """Clause for each doubtful behaviour in :class:`GridConvergence`, printed in warnings."""
-ERROR_SOURCE_BY_BEHAVIOUR = {
+ESTIMATE_BASIS_BY_BEHAVIOUR = {
     "two sizes": "by the order of theory",
     "carried": "by runs at shifted frequencies",
     "exact orbit": "by the exact orbit",
@@ -124,7 +124,7 @@ class Verification(SavableResult):
             Cause of error, for example "mesh".
         part_or_reason : PartOrReason
             Counts and convergence by quantity name; or the reason for no part, as text. For
-            :data:`OPTIONAL_ERROR_CAUSES` the reason is added to ``unknown``. For any further cause
+            :data:`OMITTABLE_ERROR_CAUSES` the reason is added to ``unknown``. For any further cause
             the reason is added to ``absent``, since the cause contributes nothing. An empty text
             adds nothing.
         """
@@ -137,7 +137,7 @@ class Verification(SavableResult):
             )
         if not part_or_reason:
             return self
-        if cause in OPTIONAL_ERROR_CAUSES:
+        if cause in OMITTABLE_ERROR_CAUSES:
             return self.with_unknown(cause, part_or_reason)
         return replace(self, absent=self.absent | {cause: part_or_reason})
 
@@ -155,7 +155,7 @@ class Verification(SavableResult):
         return {"verification": self.to_json()}
 
     @classmethod
-    def _unpack_fields(cls, datasets_by_name: Datasets, scene: Scene | None) -> Verification:
+    def _from_datasets(cls, datasets_by_name: Datasets, scene: Scene | None) -> Verification:
         return dataclass_from_json(cls, datasets_by_name["verification"], scene)
 
     # --- numbers ----------------------------------------------------------------------------------
@@ -614,7 +614,7 @@ class Verification(SavableResult):
             f"observed order {largest_convergence.order:.2g}"
             if math.isfinite(largest_convergence.order)
             else ERROR_CAUSES[largest_cause].parameter_runs_text
-            or ERROR_SOURCE_BY_BEHAVIOUR.get(largest_convergence.behaviour, "no observed order")
+            or ESTIMATE_BASIS_BY_BEHAVIOUR.get(largest_convergence.behaviour, "no observed order")
         )
         return (
             f"{quantity_and_value_text} +- {total_text} (sum of all: {sum_text}), mostly due to "

@@ -144,7 +144,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     return replace(
         verification,
         failures=tuple(judged_answer.failure_texts),
-        verdicts=judged_answer.stability_verdict_by_run,
+        verdicts=judged_answer.not_stable_verdict_by_run,
     )
 
 
@@ -211,27 +211,27 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         (:func:`_scene_with_chosen_counts`).
     failure_texts : list of str
         Name and error of each failed finer run.
-    stability_verdict_by_run : dict of str to str
+    not_stable_verdict_by_run : dict of str to str
         Verdict on stability by name of the run, "stable" runs excluded.
     """
 
     unreduced_study: Study
     failure_texts: list[str] = field(default_factory=list)
-    stability_verdict_by_run: dict[str, str] = field(default_factory=dict)
+    not_stable_verdict_by_run: dict[str, str] = field(default_factory=dict)
 
     def note_stability_verdict(self, run_name: str, run: SolvedStudy) -> None:
-        """Record a run's verdict on stability in ``stability_verdict_by_run``.
+        """Record a run's verdict on stability in ``not_stable_verdict_by_run``.
 
         The verdict "stable", or a missing verdict, is not recorded.
         """
         stability = run.result.stability
         if stability is not None and stability.verdict != "stable":
-            self.stability_verdict_by_run[run_name] = stability.verdict
+            self.not_stable_verdict_by_run[run_name] = stability.verdict
 
     def _estimate_error_by_finer_runs(
         self,
         cause: str,
-        finer_scenes: Sequence[tuple[str, int | None, Scene]],
+        names_counts_and_finer_scenes: Sequence[tuple[str, int | None, Scene]],
         count: int,
         formal_order: float,
         *,
@@ -246,7 +246,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         ----------
         cause : str
             Cause to judge.
-        finer_scenes : sequence of (name, count, scene)
+        names_counts_and_finer_scenes : sequence of (name, count, scene)
             For each finer run: a name for messages, the mode, harmonic or sample count, and the
             scene. If the mesh is finer, the count is None: the elements are counted after meshing.
         count : int
@@ -270,7 +270,9 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             All finer runs fail.
         """
         counts_and_values: list[CountAndValues] = [(count, self.balance_quantities.values_by_name)]
-        for run_name, finer_count, scene in reversed(finer_scenes):  # few modes are among many
+        for run_name, finer_count, scene in reversed(
+            names_counts_and_finer_scenes
+        ):  # few modes are among many
             with prefix_stages(run_name):
                 try:
                     run = self._solve_finer_scene(scene, shared_study)
@@ -387,12 +389,12 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         """
         counts = sorted({min(factor * count, max_count) for factor in REFINED_COUNT_FACTORS})
         count_name = count_key.rpartition(".")[2]
-        finer_scenes = [
+        names_counts_and_finer_scenes = [
             (f"{finer_count} {count_name}", finer_count, scene.replace({count_key: finer_count}))
             for finer_count in counts[1:]
         ]
         return self._estimate_error_by_finer_runs(
-            cause, finer_scenes, count, formal_order, shared_study=shared_study
+            cause, names_counts_and_finer_scenes, count, formal_order, shared_study=shared_study
         )
 
     def estimate_error_by_mesh(self) -> PartOrReason:
@@ -411,12 +413,12 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         if scene.structure is not None:
             return "[structure] gives matrices, which have no finer mesh"
         refinement_factors = (1.5, 2.0) if has_similar_finer_mesh(scene) else (2.0, 3.0)
-        finer_scenes = [
+        names_counts_and_finer_scenes = [
             (f"a mesh {refinement_factor:g} times finer", None, finer_scene)
             for refinement_factor in refinement_factors
             if (finer_scene := refine_scene_or_none(scene, refinement_factor)) is not None
         ]
-        if not finer_scenes:
+        if not names_counts_and_finer_scenes:
             return (
                 "a mesh of mesh.file cannot be refined; solve estimates this error by "
                 "mesh.coarser, and fc.grid_convergence compares several meshes"
@@ -431,7 +433,11 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             2.0 * scene.mesh.order,
         )
         return self._estimate_error_by_finer_runs(
-            "mesh", finer_scenes, n_elements_of_answer, formal_order, scheme_order=scheme_order
+            "mesh",
+            names_counts_and_finer_scenes,
+            n_elements_of_answer,
+            formal_order,
+            scheme_order=scheme_order,
         )
 
     def estimate_error_by_resonance_shift(self, verification: Verification) -> PartOrReason:

@@ -24,7 +24,7 @@ from typing import Any, ClassVar
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.basics.causes import REDUCED_STRUCTURE_ERROR_CAUSES
+from fenics_crack.basics.causes import ERROR_CAUSES_IF_REDUCED
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import ObservableTableFlag, Place, observable_names
 from fenics_crack.basics.ranks import on_root
@@ -747,7 +747,7 @@ def _estimate_range_error_and_remarks(
     solved_run = solve(_make_scene_with_crack_size(scene, omega, length, depth), MPI.COMM_SELF)
     is_at_peak = scene.given("growth").drive == "resonance"
     error_statement = estimate_solution_errors(
-        solved_run, solved_run.result, is_peak=is_at_peak, causes=REDUCED_STRUCTURE_ERROR_CAUSES
+        solved_run, solved_run.result, is_peak=is_at_peak, causes=ERROR_CAUSES_IF_REDUCED
     )
     missing_error_remarks = (
         [f"error of the vibration: {error_statement.omitted_causes_and_reasons_text}"]

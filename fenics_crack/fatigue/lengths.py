@@ -22,7 +22,7 @@ from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.scene.result_tables import Growth as Law
 from fenics_crack.scene.scene import Scene
-from fenics_crack.sweep.file import STORED_MODE_NUMBERS
+from fenics_crack.sweep.file import STORED_MODE_NUMBER_RANGE
 from fenics_crack.sweep.result import SweepResult, run_sweep
 
 GrowthEnd = Literal["reached", "arrested", "broken", "side"]
@@ -65,7 +65,7 @@ class LengthPath:
         :data:`VALUE_INTERPOLATED_COLUMN_NAMES`.
     sweep_results : sequence of SweepResult
         Sweeps with the solutions.
-    omega_with_most_growth : (k,) [rad/s]
+    load_omega_with_most_growth : (k,) [rad/s]
         Load frequency with most growth in the spectrum, at each length.
     law : Growth
         Table ``[growth]``.
@@ -74,7 +74,7 @@ class LengthPath:
     lengths: np.ndarray
     column_values_by_name: dict[str, np.ndarray]
     sweep_results: Sequence[SweepResult]
-    omega_with_most_growth: np.ndarray
+    load_omega_with_most_growth: np.ndarray
     law: Law
 
     @classmethod
@@ -124,14 +124,14 @@ class LengthPath:
             load_level_values_by_column["response"]
         )  # nan if nothing moves
         level_cycles = np.ones(1) if law.frequencies is None else np.array(law.cycles)
-        column_by_name, omega_with_most_growth = _reduce_load_levels_to_columns(
+        column_by_name, load_omega_with_most_growth = _reduce_load_levels_to_columns(
             load_level_values_by_column, law, level_cycles
         )
-        mode_number = find_nearest_mode_number(sweep_results[0], omega_with_most_growth[0])
+        mode_number = find_nearest_mode_number(sweep_results[0], load_omega_with_most_growth[0])
         for column_name in ("omega_open", "omega_bilinear"):
             column_by_name[column_name] = get_level_values(f"{column_name}_{mode_number}")[:, 0]
         return cls(
-            lengths[length_order], column_by_name, sweep_results, omega_with_most_growth, law
+            lengths[length_order], column_by_name, sweep_results, load_omega_with_most_growth, law
         )
 
     @property
@@ -173,7 +173,7 @@ class LengthPath:
             column_values_by_name={
                 name: column[::2] for name, column in self.column_values_by_name.items()
             },
-            omega_with_most_growth=self.omega_with_most_growth[::2],
+            load_omega_with_most_growth=self.load_omega_with_most_growth[::2],
         )
 
     def find_load_omega(self, length: float) -> float:
@@ -182,7 +182,7 @@ class LengthPath:
         For a spectrum: the load with most growth at the nearest solved length.
         """
         if self.law.drive == "spectrum":
-            return float(self.omega_with_most_growth[np.abs(self.lengths - length).argmin()])
+            return float(self.load_omega_with_most_growth[np.abs(self.lengths - length).argmin()])
         return float(self.interpolate_column("omega", np.array([length]))[0])
 
     def compute_growth_rates(self, lengths: np.ndarray) -> np.ndarray:
@@ -277,10 +277,10 @@ def find_nearest_mode_number(sweep_result: SweepResult, omega: float) -> int:
     bilinear_omega_of_modes = np.array(
         [
             sweep_result[f"omega_bilinear_{mode_number}"].flat[0]
-            for mode_number in STORED_MODE_NUMBERS
+            for mode_number in STORED_MODE_NUMBER_RANGE
         ]
     )
-    return STORED_MODE_NUMBERS[int(np.nanargmin(np.abs(bilinear_omega_of_modes - omega)))]
+    return STORED_MODE_NUMBER_RANGE[int(np.nanargmin(np.abs(bilinear_omega_of_modes - omega)))]
 
 
 def list_failed_lengths_and_reasons(
@@ -332,11 +332,13 @@ def _reduce_load_levels_to_columns(
         column_name: load_level_values_by_column[column_name].max(axis=1)
         for column_name in ("K_max", "delta_K_effective")
     }
-    min_growing_range = np.minimum(law.threshold, column_by_name["delta_K_effective"])[:, None]
+    min_counted_effective_range = np.minimum(law.threshold, column_by_name["delta_K_effective"])[
+        :, None
+    ]
     largest_equivalent_range = np.maximum(
         equivalent_ranges.max(axis=1, keepdims=True), SMALLEST_NORMAL
     )
-    growth_over_largest_growth = (effective_ranges >= min_growing_range) * (
+    growth_over_largest_growth = (effective_ranges >= min_counted_effective_range) * (
         equivalent_ranges / largest_equivalent_range
     ) ** law.exponent
     growth_shares = level_cycles / level_cycles.sum() * growth_over_largest_growth
@@ -347,14 +349,14 @@ def _reduce_load_levels_to_columns(
         )[:, 0]
         for column_name in load_level_values_by_column
     }
-    omega_with_most_growth = value_with_most_growth_by_column["omega"]
+    load_omega_with_most_growth = value_with_most_growth_by_column["omega"]
     column_by_name["driving"] = largest_equivalent_range[:, 0] * growth_shares.sum(axis=1) ** (
         1.0 / law.exponent
     )
     column_by_name["omega"] = level_cycles.sum() / (
         level_cycles / load_level_values_by_column["omega"]
     ).sum(axis=1)
-    return value_with_most_growth_by_column | column_by_name, omega_with_most_growth
+    return value_with_most_growth_by_column | column_by_name, load_omega_with_most_growth
 
 
 def solve_lengths_to_tolerance(

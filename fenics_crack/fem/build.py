@@ -163,7 +163,7 @@ def pair_crack_faces(
         lower_gap_matrix @ nodal_force_shares,
     )
     pair_fields_of_solid: dict[str, Any] = (
-        {"nodes": points, "pressure_matrix": pressure_shares} if dimension == 3 else {}
+        {"nodes": points, "pressure_functions_at_nodes": pressure_shares} if dimension == 3 else {}
     )
     points, crack_of_pair, distances_on_crack = (
         node_values[pair_node_index] for node_values in (points, crack_of_pair, distances_on_crack)
@@ -663,7 +663,7 @@ def assemble_force_watched_and_clamp(scene: Scene, structure: Structure) -> dict
         and sine parts up to the order K. "watched" is a vector (n_local,) or None; results report
         its product with the displacement. "clamp" has the data for the reaction at the clamp.
     """
-    dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
+    dofs: Dofs = structure.nodes.dolfinx_mesh_and_dofs  # type: ignore[union-attr]
     _, mass_form = _make_stiffness_and_mass_forms(scene, dofs.space)
     mass_matrix = compat.assembled_petsc_matrix(mass_form)
     nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_matrix)
@@ -792,7 +792,7 @@ def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
     return _replace_crack_length(scene, find_crack_length(scene, comm))
 
 
-_LAST_TABLES_AND_CRACK_LENGTH: list[tuple[str, float]] = []
+_CRACK_LENGTH_OF_LAST_SEARCH: list[tuple[str, float]] = []
 """Crack length [m] found last in this process, with the text of the scene's tables for geometry,
 crack, material and mesh. Empty before the first search."""
 
@@ -832,7 +832,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
         raise InputError("crack.first_omega", None, "given: a finite number > 0 [rad/s]")
     tables_text = repr((scene.geometry, crack, scene.material, scene.mesh))
     if (
-        stored_crack_length := comm.bcast(dict(_LAST_TABLES_AND_CRACK_LENGTH).get(tables_text))
+        stored_crack_length := comm.bcast(dict(_CRACK_LENGTH_OF_LAST_SEARCH).get(tables_text))
     ) is not None:
         return float(stored_crack_length)
     target_omega, scene_at_rest = crack.first_omega, scene.without_rotation()
@@ -859,7 +859,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     crack_length_at_target = float(
         scipy.optimize.brentq(excess_frequency, min_length, max_length, xtol=1e-5 * width)
     )
-    _LAST_TABLES_AND_CRACK_LENGTH[:] = [(tables_text, crack_length_at_target)]
+    _CRACK_LENGTH_OF_LAST_SEARCH[:] = [(tables_text, crack_length_at_target)]
     return crack_length_at_target
 
 

@@ -283,7 +283,9 @@ def constrained_dof_mask(space: Any, conditions: Any) -> np.ndarray:
     """
     cpp_space = space._cpp_object
     n_dofs = space.dofmap.index_map.size_local * space.mesh.geometry.dim
-    zero_start, one_start = start_values = np.array([[0.0], [1.0]]).repeat(n_dofs, axis=1)
+    zeros_after_conditions, ones_after_conditions = start_values = np.array([[0.0], [1.0]]).repeat(
+        n_dofs, axis=1
+    )
     with report_read_errors(
         "bcs", type(conditions).__name__, "Dirichlet conditions of value 0 on the function space"
     ):
@@ -295,9 +297,9 @@ def constrained_dof_mask(space: Any, conditions: Any) -> np.ndarray:
         for start_array in start_values:
             start_vector = PETSc.Vec().createWithArray(start_array, comm=MPI.COMM_SELF)
             dolfinx.fem.petsc.set_bc(start_vector, conditions)
-        if np.any(zero_start):
+        if np.any(zeros_after_conditions):
             raise ValueError("one has a value other than 0")
-    return np.asarray(one_start == 0.0)
+    return np.asarray(ones_after_conditions == 0.0)
 
 
 def facet_corner_nodes(mesh: Any, facets: np.ndarray) -> np.ndarray:

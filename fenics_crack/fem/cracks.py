@@ -130,7 +130,7 @@ class CrackSurface:
 
     Attributes
     ----------
-    triangles : (n, 3, 3) [m]
+    triangle_corner_points : (n, 3, 3) [m]
         Corners of the triangles on the lower face. Quadrilaterals are cut into two triangles.
     front_chords : (m, 2, 3) [m]
         End points of element edges along the front. Empty if the crack separates two bodies.
@@ -138,7 +138,7 @@ class CrackSurface:
         True if the crack reaches the solid's surface.
     """
 
-    triangles: np.ndarray
+    triangle_corner_points: np.ndarray
     front_chords: np.ndarray
     has_mouth: bool
 
@@ -153,7 +153,7 @@ class CrackSurface:
     @property
     def size(self) -> float:
         """Return the crack's largest extent along x, y or z [m]."""
-        return float(np.ptp(self.triangles.reshape(-1, 3), axis=0).max())
+        return float(np.ptp(self.triangle_corner_points.reshape(-1, 3), axis=0).max())
 
     def find_distances_and_positions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the distances of points (n, 3) [m] from the crack's surface and front.
@@ -170,11 +170,13 @@ class CrackSurface:
 
         surface_distances, front_distances = np.empty(len(points)), np.empty(len(points))
         # Limit the memory: two million distances at a time.
-        block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front_chords)))
+        block_size = max(
+            1, 2_000_000 // max(len(self.triangle_corner_points), len(self.front_chords))
+        )
         for block_start in range(0, len(points), block_size):
             point_slice = slice(block_start, block_start + block_size)
             surface_distances[point_slice] = point_to_triangle_distances(
-                points[point_slice], self.triangles
+                points[point_slice], self.triangle_corner_points
             ).min(axis=1)
             front_edge_distances, _ = _distances_and_fractions_on_edges(
                 points[point_slice], self.front_chords
@@ -194,8 +196,10 @@ class CrackSurface:
 
         position = np.asarray(point, dtype=float)
         (distance_to_crack,), (front_distance,) = self.find_distances_and_positions(position[None])
-        nearest_triangle = point_to_triangle_distances(position[None], self.triangles).argmin()
-        normal = size_weighted_normals(self.triangles[[nearest_triangle]])[0]
+        nearest_triangle = point_to_triangle_distances(
+            position[None], self.triangle_corner_points
+        ).argmin()
+        normal = size_weighted_normals(self.triangle_corner_points[[nearest_triangle]])[0]
         return _points_on_both_sides(point, distance_to_crack, front_distance, normal, self.size)
 
 
@@ -542,7 +546,9 @@ def find_crack_surfaces(
                 bool(np.any(is_edge_on_crack & ~is_front_edge)),
             )
         )
-    crack_surfaces.sort(key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))
+    crack_surfaces.sort(
+        key=lambda crack: tuple(crack.triangle_corner_points.mean(axis=(0, 1))[[1, 0, 2]])
+    )
     return tuple(crack_surfaces)
 
 

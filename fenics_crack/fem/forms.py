@@ -82,7 +82,7 @@ def structure_from_forms(
     Examples
     --------
     >>> import ufl
-    >>> space = structure.nodes.mesh_dofs.space
+    >>> space = structure.nodes.dolfinx_mesh_and_dofs.space
     >>> u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     >>> stiffness = 2e9 * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
     >>> free = fc.structure_from_forms(space, stiffness, 7800.0 * ufl.inner(u, v) * ufl.dx)

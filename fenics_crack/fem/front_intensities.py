@@ -151,12 +151,18 @@ def _values_at_free_dofs(
     node_values : (m, n, 3)
         Values of n vector fields at the given nodes.
     """
-    local_nodes = node_numbers - nodes.mesh_dofs.first_node
-    is_owned = (local_nodes >= 0) & (local_nodes < nodes.mesh_dofs.n_own_nodes)
-    own_node_values = np.zeros((node_values.shape[1], nodes.mesh_dofs.n_own_nodes, 3))
+    local_nodes = node_numbers - nodes.dolfinx_mesh_and_dofs.first_node
+    is_owned = (local_nodes >= 0) & (
+        local_nodes < nodes.dolfinx_mesh_and_dofs.n_nodes_owned_by_rank
+    )
+    own_node_values = np.zeros(
+        (node_values.shape[1], nodes.dolfinx_mesh_and_dofs.n_nodes_owned_by_rank, 3)
+    )
     own_node_values[:, local_nodes[is_owned]] = node_values[is_owned].swapaxes(0, 1)
     return np.asarray(
-        nodes.mesh_dofs.restrict_to_free(own_node_values.reshape(len(own_node_values), -1))
+        nodes.dolfinx_mesh_and_dofs.restrict_to_free(
+            own_node_values.reshape(len(own_node_values), -1)
+        )
     )
 
 
@@ -169,10 +175,12 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
     pairs = structure.pairs
     is_node_in_hats = front.hats_and_slopes(front.node_parameters)[0] > 0.0
     contact_pairs_by_station = [np.zeros(0, dtype=int)] * len(front.station_parameters)
-    if pairs.nodes is not None and pairs.pressure_matrix is not None:
+    if pairs.nodes is not None and pairs.pressure_functions_at_nodes is not None:
         nearest_crack_nodes = cKDTree(pairs.nodes).query(front.node_positions)[1]
         contact_pairs_by_station = [
-            np.unique(pairs.pressure_matrix[nearest_crack_nodes[is_node_in_hat]].nonzero()[1])
+            np.unique(
+                pairs.pressure_functions_at_nodes[nearest_crack_nodes[is_node_in_hat]].nonzero()[1]
+            )
             for is_node_in_hat in is_node_in_hats.T
         ]
     fine_parameters = np.linspace(
@@ -310,11 +318,11 @@ class _IntegrationDomain:
         Positions of the corners, sorted by the distance from the front.
     is_facet_of_single_cell : (n_cells, 4) bool
         For each sorted corner: True if no other cell has the facet opposite the corner.
-    volumes : (n_cells,) [m^3]
+    cell_volumes : (n_cells,) [m^3]
         Volume of each cell.
     barycentric_gradients : (n_cells, 4, 3) [1/m]
         Gradient of each sorted corner's barycentric coordinate.
-    side_signs : (n_cells,)
+    cell_side_signs : (n_cells,)
         1 if the cell's centre is above the crack, -1 if below.
     """
 
@@ -322,7 +330,7 @@ class _IntegrationDomain:
         self.front = front
         youngs_modulus, self.nu = scene.material.young, scene.material.poisson
         self.mu = 0.5 * youngs_modulus / (1.0 + self.nu)
-        self.lame = youngs_modulus * self.nu / (1.0 + self.nu) / (1.0 - 2.0 * self.nu)
+        self.lame_lambda = youngs_modulus * self.nu / (1.0 + self.nu) / (1.0 - 2.0 * self.nu)
         half_plane_strain_modulus = 0.5 * youngs_modulus / (1.0 - self.nu**2)
         intensity_moduli_by_mode_and_station = np.repeat(
             [half_plane_strain_modulus, half_plane_strain_modulus, self.mu],
@@ -355,7 +363,7 @@ class _IntegrationDomain:
         )
         self.is_facet_of_single_cell = (count_equal_rows(facets) == 1).reshape(4, -1).T
         cell_edge_vectors = self.corner_positions[:, 1:] - self.corner_positions[:, :1]
-        self.volumes = np.abs(np.linalg.det(cell_edge_vectors)) / 6.0
+        self.cell_volumes = np.abs(np.linalg.det(cell_edge_vectors)) / 6.0
         inverse_cell_edge_matrices = np.linalg.inv(cell_edge_vectors).swapaxes(
             1, 2
         )  # rows: gradients of lambda_1 to lambda_3
@@ -365,7 +373,7 @@ class _IntegrationDomain:
         )
         cell_centres = self.corner_positions.mean(axis=1)
         front_parameters_of_centres = front.nearest_parameters(cell_centres)
-        self.side_signs = np.sign(
+        self.cell_side_signs = np.sign(
             (
                 (cell_centres - front.curve_function(front_parameters_of_centres, 0))
                 * front.frame_and_curvature(front_parameters_of_centres)[0][:, 1]
@@ -444,7 +452,7 @@ class _IntegrationDomain:
                 _collapsed_gauss_rule(dimension, n_side_gauss_points) for dimension in (3, 2)
             )
             tensor_integrals = self._integrate_tensors(
-                chunk_cells, rule_points, self.volumes[chunk_cells, None] * weights, None
+                chunk_cells, rule_points, self.cell_volumes[chunk_cells, None] * weights, None
             )
             for corner_index in range(4):
                 has_cell_outer_facet = self.is_facet_of_single_cell[chunk_cells, corner_index]
@@ -457,7 +465,7 @@ class _IntegrationDomain:
                     ]
                     areas = (
                         3.0
-                        * self.volumes[chunk_cells[has_cell_outer_facet]]
+                        * self.cell_volumes[chunk_cells[has_cell_outer_facet]]
                         * np.linalg.norm(corner_gradients, axis=1)
                     )
                     outward_facet_normals = (
@@ -480,7 +488,9 @@ class _IntegrationDomain:
                 .reshape(len(chunk_cells), -1, 3, 4, 3)
                 .swapaxes(2, 3)
             )
-            barycentric_product_integrals = self.volumes[chunk_cells, None, None, None, None] / 20.0
+            barycentric_product_integrals = (
+                self.cell_volumes[chunk_cells, None, None, None, None] / 20.0
+            )
             tensor_integrals -= barycentric_product_integrals * (
                 corner_stress + corner_stress.sum(axis=2, keepdims=True)
             )
@@ -498,7 +508,7 @@ class _IntegrationDomain:
     def _stress(self, displacement_gradients: np.ndarray) -> np.ndarray:
         """Return the stress [Pa] from displacement gradients (..., 3, 3), by Hooke's law."""
         stress = self.mu * (displacement_gradients + displacement_gradients.swapaxes(-1, -2))
-        volumetric_stress = self.lame * np.trace(displacement_gradients, axis1=-2, axis2=-1)
+        volumetric_stress = self.lame_lambda * np.trace(displacement_gradients, axis1=-2, axis2=-1)
         for axis_index in range(3):
             stress[..., axis_index, axis_index] += volumetric_stress
         return stress
@@ -534,7 +544,9 @@ class _IntegrationDomain:
         )
         domain_radius = front.domain_radius(curvature)
         r = np.hypot(xi_ahead_of_front, y)
-        y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side_signs[cell_indices][:, None], y)
+        y = np.where(
+            np.abs(y) < 1e-6 * r, 1e-12 * r * self.cell_side_signs[cell_indices][:, None], y
+        )
         hat, hat_slope_by_t = front.hats_and_slopes(t)
         return (
             frame_vectors,
@@ -794,11 +806,11 @@ class _IntegrationDomain:
             auxiliary_stress[..., 0, 0] - auxiliary_stress[..., 2, 2]
         )
         stress_divergence[..., 0] += (
-            self.lame * curvature_over_metric * (da_dxi[0] - curvature_over_metric * a[0])
+            self.lame_lambda * curvature_over_metric * (da_dxi[0] - curvature_over_metric * a[0])
         )
         stress_divergence[..., 1] += (
             curvature_over_metric * auxiliary_stress[..., 1, 0]
-            + self.lame * curvature_over_metric * da_dy[0]
+            + self.lame_lambda * curvature_over_metric * da_dy[0]
         )
         stress_divergence[..., 2] += 2.0 * curvature_over_metric * auxiliary_stress[
             ..., 2, 0
@@ -822,14 +834,20 @@ def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
     ``front`` has the stations.
     """
     pairs = structure.pairs
-    assert pairs.nodes is not None and pairs.pressure_matrix is not None and pairs.areas is not None
-    crack: CrackSurface = structure.nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces[  # type: ignore[union-attr]
+    assert (
+        pairs.nodes is not None
+        and pairs.pressure_functions_at_nodes is not None
+        and pairs.areas is not None
+    )
+    crack: CrackSurface = structure.nodes.dolfinx_mesh_and_dofs.part_mesh.crack_paths_or_surfaces[  # type: ignore[union-attr]
         front.crack_index
     ]
     crack_node_tree, front_tree = cKDTree(pairs.nodes), cKDTree(front.node_positions)
-    corner_front_distances, nearest_front_node_of_corner = front_tree.query(crack.triangles)
+    corner_front_distances, nearest_front_node_of_corner = front_tree.query(
+        crack.triangle_corner_points
+    )
     triangle_enclosing_radii = np.linalg.norm(
-        crack.triangles - crack.triangles.mean(axis=1)[:, None], axis=2
+        crack.triangle_corner_points - crack.triangle_corner_points.mean(axis=1)[:, None], axis=2
     ).max(axis=1)
     is_triangle_near_front = (
         corner_front_distances.min(axis=1)
@@ -854,7 +872,7 @@ def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
         ]
     )
     for triangle, corner_distances, front_node_nearest_to_corner in zip(
-        crack.triangles[is_triangle_near_front],
+        crack.triangle_corner_points[is_triangle_near_front],
         corner_front_distances[is_triangle_near_front],
         nearest_front_node_of_corner[is_triangle_near_front],
         strict=True,
@@ -903,4 +921,6 @@ def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
             kernel[:, None] * shape_values
         )
     nodal_pressure_factors *= np.sqrt(2.0 / np.pi) / front.hat_integrals()[:, None]
-    return np.asarray((pairs.pressure_matrix.T @ nodal_pressure_factors.T).T / pairs.areas)
+    return np.asarray(
+        (pairs.pressure_functions_at_nodes.T @ nodal_pressure_factors.T).T / pairs.areas
+    )

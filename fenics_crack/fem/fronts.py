@@ -70,7 +70,7 @@ class Front:
         (..., 3).
     is_closed : bool
         True if the front has no ends.
-    ends_at_surface : tuple of bool
+    is_each_end_at_surface : tuple of bool
         True for each end at the solid's surface. Other ends are corners of the front.
     allowed_domain_radius : float [m]
         Stress intensities are integrals over a domain around the front. Upper bound for the
@@ -84,7 +84,7 @@ class Front:
     node_parameters: np.ndarray
     curve_function: Callable[[np.ndarray, int], np.ndarray]
     is_closed: bool
-    ends_at_surface: tuple[bool, bool]
+    is_each_end_at_surface: tuple[bool, bool]
     allowed_domain_radius: float
 
     @cached_property
@@ -132,7 +132,7 @@ class Front:
         if self.is_closed:
             return []
         end_stations = np.array([0, len(self.station_parameters) - 1])
-        return end_stations[~np.array(self.ends_at_surface)].tolist()
+        return end_stations[~np.array(self.is_each_end_at_surface)].tolist()
 
     def hats_and_slopes(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the stations' hat functions h at curve parameters t (...).
@@ -283,21 +283,26 @@ def find_fronts(structure: Structure) -> list[Front]:
     """
     structure_nodes = structure.nodes
     assert structure_nodes is not None
-    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces
+    cracks: tuple[CrackSurface, ...] = (
+        structure_nodes.dolfinx_mesh_and_dofs.part_mesh.crack_paths_or_surfaces
+    )
     clamped_points = gather_rows(
         structure.comm, structure_nodes.points[np.all(structure_nodes.dofs < 0, axis=1)]
     )
     front_arguments = []
     for crack_index, crack in enumerate(cracks):
         triangle_corners_of_other_cracks = [
-            other_crack.triangles.reshape(-1, 3)
+            other_crack.triangle_corner_points.reshape(-1, 3)
             for other_crack in cracks
             if other_crack is not crack
         ]
         obstacle_tree = cKDTree(np.concatenate([clamped_points, *triangle_corners_of_other_cracks]))
-        for chain_points, node_normals, is_closed, ends_at_surface in _yield_smooth_front_parts(
-            crack
-        ):
+        for (
+            chain_points,
+            node_normals,
+            is_closed,
+            is_each_end_at_surface,
+        ) in _yield_smooth_front_parts(crack):
             allowed_domain_radius = (
                 MAX_RADIUS_TO_CLEARANCE * obstacle_tree.query(chain_points)[0].min()
             )
@@ -308,7 +313,7 @@ def find_fronts(structure: Structure) -> list[Front]:
                     node_normals,
                     *_fit_parameters_and_curve(chain_points, is_closed),
                     is_closed,
-                    ends_at_surface,
+                    is_each_end_at_surface,
                     allowed_domain_radius,
                 )
             )
@@ -334,23 +339,23 @@ def _yield_smooth_front_parts(
         Unit normals of the crack at the nodes, from the lower to the upper face.
     is_closed : bool
         True if the front has neither ends nor corners.
-    ends_at_surface : tuple of bool
+    is_each_end_at_surface : tuple of bool
         True for each end at the solid's surface.
     """
-    triangle_corner_positions = crack.triangles.reshape(-1, 3)
+    triangle_corner_positions = crack.triangle_corner_points.reshape(-1, 3)
     triangle_corner_tree = cKDTree(triangle_corner_positions)
     coincident_triangle_corners = triangle_corner_tree.query_ball_point(
         triangle_corner_positions, RELATIVE_POSITION_TOLERANCE * crack.size
     )
     node_of_triangle_corner = np.array([min(corners) for corners in coincident_triangle_corners])
-    triangle_normals = size_weighted_normals(crack.triangles)
+    triangle_normals = size_weighted_normals(crack.triangle_corner_points)
     triangle_normals *= np.array([[upward_sign(normal)] for normal in triangle_normals])
     node_normals, triangle_centre_near_node = np.zeros((2, len(triangle_corner_positions), 3))
     np.add.at(node_normals, node_of_triangle_corner, np.repeat(triangle_normals, 3, axis=0))
     np.add.at(
         triangle_centre_near_node,
         node_of_triangle_corner,
-        np.repeat(crack.triangles.mean(axis=1), 3, axis=0),
+        np.repeat(crack.triangle_corner_points.mean(axis=1), 3, axis=0),
     )
     triangle_centre_near_node /= np.maximum(
         np.bincount(node_of_triangle_corner, minlength=len(triangle_centre_near_node)), 1
@@ -385,7 +390,7 @@ def _yield_smooth_front_parts(
         for first_index_of_part, last_index_of_part in pairwise(
             sorted({0, *corner_indices, len(edge_vectors)})
         ):
-            ends_at_surface = (
+            is_each_end_at_surface = (
                 first_index_of_part == 0 and not is_closed,
                 last_index_of_part == len(edge_vectors) and not is_closed,
             )
@@ -393,7 +398,7 @@ def _yield_smooth_front_parts(
                 chained_points[first_index_of_part : last_index_of_part + 1],
                 point_normals[first_index_of_part : last_index_of_part + 1],
                 is_closed and not corner_indices,
-                ends_at_surface,
+                is_each_end_at_surface,
             )
 
 

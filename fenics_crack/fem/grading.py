@@ -63,17 +63,19 @@ class _GradedCrackFace:
     numerator is the element nearer to the tip.
     """
 
-    def __init__(self, scene: Scene, coarse_end_position: float, tip_position: float) -> None:
+    def __init__(self, scene: Scene, mouth_or_middle_position: float, tip_position: float) -> None:
         mesh, (plate_width, plate_height) = scene.mesh, scene.geometry.sides
-        self.coarse_end_position = coarse_end_position
+        self.mouth_or_middle_position = mouth_or_middle_position
         self.tip_position = tip_position
         self.n_elements = mesh.given("lip_elements")
-        if coarse_end_position not in (0.0, plate_width):
+        if mouth_or_middle_position not in (0.0, plate_width):
             self.n_elements = -(-self.n_elements // 2)
         self.length_over_next_from_tip = mesh.grading ** (-1.0 / max(self.n_elements - 1, 1))
         relative_lengths = self.length_over_next_from_tip ** np.arange(self.n_elements)
         self.tip_element_length = float(
-            abs(tip_position - coarse_end_position) * relative_lengths[-1] / relative_lengths.sum()
+            abs(tip_position - mouth_or_middle_position)
+            * relative_lengths[-1]
+            / relative_lengths.sum()
         )
         if self.tip_element_length < MIN_RELATIVE_CELL_SIZE * max(plate_width, plate_height):
             requirement = "smaller: the element at the tip of this crack would be only"
@@ -84,9 +86,9 @@ class _GradedCrackFace:
     def covers(self, start: float, stop: float) -> bool:
         """Return True if the middle between ``start`` and ``stop`` [m] lies on the crack face."""
         return (
-            min(self.coarse_end_position, self.tip_position)
+            min(self.mouth_or_middle_position, self.tip_position)
             < 0.5 * (start + stop)
-            < max(self.coarse_end_position, self.tip_position)
+            < max(self.mouth_or_middle_position, self.tip_position)
         )
 
     def element_length(self, position: float) -> float:
@@ -95,7 +97,7 @@ class _GradedCrackFace:
             self.n_elements - 1
         )
         fraction_from_tip = (position - self.tip_position) / (
-            self.coarse_end_position - self.tip_position
+            self.mouth_or_middle_position - self.tip_position
         )
         return self.tip_element_length + fraction_from_tip * (
             coarse_length - self.tip_element_length
@@ -232,15 +234,15 @@ def _graded_crack_faces(scene: Scene, crack: Crack) -> list[_GradedCrackFace]:
     """
     width = scene.geometry.sides[0]
     crack_left_end, crack_right_end = crack.span(width)
-    coarse_end_position = 0.5 * (crack_left_end + crack_right_end)
+    mouth_or_middle_position = 0.5 * (crack_left_end + crack_right_end)
     if crack_left_end == 0.0:
-        coarse_end_position = crack_left_end
+        mouth_or_middle_position = crack_left_end
     elif crack_right_end == width:
-        coarse_end_position = crack_right_end
+        mouth_or_middle_position = crack_right_end
     return [
-        _GradedCrackFace(scene, coarse_end_position, tip_position)
+        _GradedCrackFace(scene, mouth_or_middle_position, tip_position)
         for tip_position in (crack_left_end, crack_right_end)
-        if tip_position != coarse_end_position
+        if tip_position != mouth_or_middle_position
     ]
 
 
@@ -326,11 +328,11 @@ def _intervals_with_graded_elements(
         """
         faces_along = [face for face in faces if face.covers(start, stop)]
         for face in faces_along if len(faces_along) == 1 else ():
-            ends = sorted((face.coarse_end_position, face.tip_position))
+            ends = sorted((face.mouth_or_middle_position, face.tip_position))
             if max(abs(ends[0] - start), abs(ends[1] - stop)) <= tolerance:
                 length_ratio = (
                     face.length_over_next_from_tip
-                    if face.tip_position > face.coarse_end_position
+                    if face.tip_position > face.mouth_or_middle_position
                     else 1.0 / face.length_over_next_from_tip
                 )
                 return [ElementInterval(start, stop, face.n_elements, length_ratio)]
@@ -353,7 +355,7 @@ def _intervals_with_graded_elements(
 
     interval_bounds = [0.0]
     cuts = [cut_position for cut_position, _ in tip_positions_and_element_lengths] + [
-        face.coarse_end_position for face in faces
+        face.mouth_or_middle_position for face in faces
     ]
     for cut_position in sorted([*cuts, extent]):
         if cut_position - interval_bounds[-1] > tolerance:

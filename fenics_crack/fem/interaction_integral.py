@@ -158,7 +158,7 @@ def _outer_boundary_points(dofs: Dofs) -> np.ndarray:
         dolfinx.mesh.exterior_facet_indices(topology), crack_face_facets
     ).astype(np.int32)
     outer_nodes = dolfinx.fem.locate_dofs_topological(dofs.space, 1, outer_facets)
-    return dofs.points[outer_nodes[outer_nodes < dofs.n_own_nodes]]
+    return dofs.points[outer_nodes[outer_nodes < dofs.n_nodes_owned_by_rank]]
 
 
 def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndarray) -> None:
@@ -218,7 +218,7 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     """
     check_has_matrices(structure, "stress intensities")
     assert structure.nodes is not None
-    dofs: Dofs = structure.nodes.mesh_dofs
+    dofs: Dofs = structure.nodes.dolfinx_mesh_and_dofs
     tips = find_tips(dofs)
     face_normals = _crack_face_normals_at_nodes(dofs)
     node_positions = dofs.points
@@ -227,13 +227,17 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
         [],
         [],
     )
-    is_face_node = np.any(face_normals != 0.0, axis=1)[: dofs.n_own_nodes]
+    is_face_node = np.any(face_normals != 0.0, axis=1)[: dofs.n_nodes_owned_by_rank]
     _check_tips_are_resolved(
-        scene, tips, gather_rows(dofs.comm, node_positions[: dofs.n_own_nodes][is_face_node])
+        scene,
+        tips,
+        gather_rows(dofs.comm, node_positions[: dofs.n_nodes_owned_by_rank][is_face_node]),
     )
     for tip in tips:
         for mode in range(2):
-            nodal_field = _weighted_singular_field(scene, tip, mode, node_positions, face_normals)
+            nodal_field = _weighted_singular_displacement_slope(
+                scene, tip, mode, node_positions, face_normals
+            )
             displacement_factor_rows.append(assemble_row(tip, mode, nodal_field))
             contact_force_factor_rows.append(
                 _contact_force_factors(
@@ -325,7 +329,7 @@ def find_weight_and_slope(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndar
     return weight, slope_by_radius_ratio
 
 
-def _weighted_singular_field(
+def _weighted_singular_displacement_slope(
     scene: Scene, tip: Tip, mode: int, points: np.ndarray, outward_normals: np.ndarray
 ) -> np.ndarray:
     """Return the field w = q s around a crack tip, at given nodes: (n, 2).
@@ -380,8 +384,8 @@ def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndar
     """Return a function that computes the factors of the displacement in K_I or K_II.
 
     The function's arguments are a tip, a mode (0 for K_I, 1 for K_II), and the field w (n_nodes, 2)
-    of :func:`_weighted_singular_field`. The function returns a factor for each dof: (n_local,). All
-    tips and modes share a compiled form, to save the time of compilation.
+    of :func:`_weighted_singular_displacement_slope`. The function returns a factor for each dof:
+    (n_local,). All tips and modes share a compiled form, to save the time of compilation.
     """
     space = dofs.space
     nodal_function = dolfinx.fem.Function(space)
@@ -442,7 +446,7 @@ def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndar
     def assemble_row(tip: Tip, mode: int, nodal_field: np.ndarray) -> np.ndarray:
         """Assemble the displacement's factors in K_I (``mode`` 0) or K_II (1): (n_local,).
 
-        ``nodal_field`` (n, 2) is w from :func:`_weighted_singular_field`.
+        ``nodal_field`` (n, 2) is w from :func:`_weighted_singular_displacement_slope`.
         """
         nodal_function.x.array[: nodal_field.size] = nodal_field.ravel()
         nodal_function.x.scatter_forward()
@@ -477,7 +481,7 @@ def _contact_force_factors(
     mode : int
         0 for K_I, 1 for K_II.
     nodal_field : (n_local,)
-        Field w of :func:`_weighted_singular_field`, at the free dofs.
+        Field w of :func:`_weighted_singular_displacement_slope`, at the free dofs.
     """
     force_factors = np.zeros(structure.n_pairs)
     if mode == 1 or scene.contact is None or scene.contact.pairs == "mouth":

@@ -112,13 +112,13 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         if watched_vector is None:
             clamp_center = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")]).mean(axis=0)
             # Watch the node farthest from the clamp.
-            owned_nodes = np.arange(dofs.n_own_nodes)
+            owned_nodes = np.arange(dofs.n_nodes_owned_by_rank)
             watched_vector = _make_watch_vector_at_node(
                 dofs, owned_nodes, clamp_center, -1, scene.base.dominant_unit_vector
             )
         for row_index, acceleration in enumerate(scene.base.accelerations, 1):
             nodal_force_harmonics[row_index] -= _multiply_mass_by_acceleration(
-                mass, np.tile(acceleration, dofs.n_own_nodes)
+                mass, np.tile(acceleration, dofs.n_nodes_owned_by_rank)
             )
     if (
         watched_vector is None
@@ -184,7 +184,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
             key, tuple(point), requirement.format(point_below_crack, point_above_crack)
         )
     all_node_positions = gather_rows(dofs.comm, dofs.points)
-    owned_node_numbers = dofs.first_node + np.arange(dofs.n_own_nodes)
+    owned_node_numbers = dofs.first_node + np.arange(dofs.n_nodes_owned_by_rank)
     if len(coincident_nodes := find_node_indices_at(all_node_positions, point)):
         return np.where(owned_node_numbers == coincident_nodes[0], 1.0, 0.0)
     local_cell_nodes, basis_values = compat.evaluate_basis(
@@ -213,9 +213,9 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     cell_nodes = gather_rows(dofs.comm, np.asarray(cell_nodes, dtype=np.int64))
     fractions_at_cell_nodes = gather_rows(dofs.comm, basis_values)
     is_owned_node = (cell_nodes >= dofs.first_node) & (
-        cell_nodes < dofs.first_node + dofs.n_own_nodes
+        cell_nodes < dofs.first_node + dofs.n_nodes_owned_by_rank
     )
-    node_fractions = np.zeros(dofs.n_own_nodes)
+    node_fractions = np.zeros(dofs.n_nodes_owned_by_rank)
     np.add.at(
         node_fractions,
         cell_nodes[is_owned_node] - dofs.first_node,
@@ -459,6 +459,6 @@ def _make_watch_vector_at_node(
     nodes_at_selected_point = nodes[
         np.all(dofs.points[nodes] == all_points[distance_order[distance_rank]], axis=1)
     ]
-    watched_vector = np.zeros((dofs.n_own_nodes, dofs.dimension))
+    watched_vector = np.zeros((dofs.n_nodes_owned_by_rank, dofs.dimension))
     watched_vector[nodes_at_selected_point[:1]] = direction
     return dofs.restrict_to_free(watched_vector.ravel())

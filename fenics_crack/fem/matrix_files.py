@@ -205,15 +205,15 @@ def _read_matrices_columns_and_model(
     if len(
         massless_rows := np.flatnonzero(labelled_matrix_by_name["mass"].matrix.diagonal() <= 0.0)
     ):
-        place_text = f"row {massless_rows[0] + 1}"
+        massless_row_text = f"row {massless_rows[0] + 1}"
         if labelled_stiffness.labels is not None and massless_rows[0] < len(
             labelled_stiffness.labels
         ):
-            place_text = "node {}, direction {}".format(
+            massless_row_text = "node {}, direction {}".format(
                 *labelled_stiffness.labels[massless_rows[0]]
             )
         requirement = "positive definite; give each row a mass > 0, or condense rows without mass"
-        raise InputError("mass", f"no mass at {place_text}", requirement)
+        raise InputError("mass", f"no mass at {massless_row_text}", requirement)
     if table.model is not None:
         with report_read_errors(
             "model", table.model, "the input file of the program that wrote the matrices"

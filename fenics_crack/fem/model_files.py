@@ -45,7 +45,7 @@ ANSYS_SOLID_TYPE_NUMBERS = {
 }  # fmt: skip
 """Numbers of Ansys' solid element types. All other types in a block are skipped: surfaces, contact,
 shells and springs."""
-NASTRAN_ORDER_BY_NODE_COUNT = {
+NASTRAN_NODE_PERMUTATIONS = {
     15: [*range(9), 12, 13, 14, 9, 10, 11],
     20: [*range(12), 16, 17, 18, 19, 12, 13, 14, 15],
 }
@@ -280,7 +280,7 @@ def _read_nastran(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                 raise NotImplementedError
             elif name in ("CTETRA", "CPENTA", "CHEXA"):
                 node_labels = [int(field) for field in fields[2:] if field]
-                node_order = NASTRAN_ORDER_BY_NODE_COUNT.get(
+                node_order = NASTRAN_NODE_PERMUTATIONS.get(
                     len(node_labels), range(len(node_labels))
                 )
                 cells.setdefault(VTK_TYPE_BY_NODE_COUNT[len(node_labels)], []).append(

@@ -339,7 +339,7 @@ def _cell_facets_and_cell_centres(
     return facet_nodes.reshape(-1, 2 * n_facet_corners), cell_centres_of_facets
 
 
-def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _facet_basis_at_gauss_points(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Evaluate the basis functions of a facet at 3 x 3 Gauss points.
 
     The facet has k = ``n_corners`` corners, 3 or 4.
@@ -412,13 +412,13 @@ def _assemble_patch_gap_matrix(
     patch_index_of_node = twins.pair_index.copy()
     # Patches of front nodes go to their neighbours.
     patch_index_of_node[front_nodes] = n_pairs + np.arange(len(front_nodes))
-    areas = np.zeros(n_pairs + len(front_nodes))
-    gap = sparse.csr_matrix((twins.n_dofs, len(areas)))
-    overlap_matrix = sparse.csr_matrix((len(areas), len(areas)))
+    patch_areas = np.zeros(n_pairs + len(front_nodes))
+    gap = sparse.csr_matrix((twins.n_dofs, len(patch_areas)))
+    overlap_matrix = sparse.csr_matrix((len(patch_areas), len(patch_areas)))
     for nodes, cell_centres in facets:
         n_corners = nodes.shape[1] // 2
         (weighted_linear_functions, edge_functions), pressure_basis, basis_function_slopes = (
-            _facet_basis(n_corners)
+            _facet_basis_at_gauss_points(n_corners)
         )
         corner_points = twins.points[nodes[:, :n_corners]]
         position_derivative_1, position_derivative_2 = np.einsum(
@@ -432,7 +432,7 @@ def _assemble_patch_gap_matrix(
         surface_jacobians = np.linalg.norm(area_normals, axis=2)
         patch_index_of_facet_corner = patch_index_of_node[nodes[:, :n_corners]]
         np.add.at(
-            areas,
+            patch_areas,
             patch_index_of_facet_corner,
             0.5 * np.einsum("kq,fq->fk", weighted_linear_functions, surface_jacobians),
         )
@@ -484,12 +484,17 @@ def _assemble_patch_gap_matrix(
     pressure_extension_to_front_matrix = make_matrix_extending_pressures_to_front(
         overlap_matrix[n_pairs:, :n_pairs]
     )
-    areas = pressure_extension_to_front_matrix.T @ areas
-    twin_index_of_contact_pair = np.flatnonzero(areas)
+    patch_areas = pressure_extension_to_front_matrix.T @ patch_areas
+    twin_index_of_contact_pair = np.flatnonzero(patch_areas)
     gap = (gap @ pressure_extension_to_front_matrix)[:, twin_index_of_contact_pair] @ sparse.diags(
-        1.0 / areas[twin_index_of_contact_pair]
+        1.0 / patch_areas[twin_index_of_contact_pair]
     )
-    return gap.tocsr(), areas[twin_index_of_contact_pair], twin_index_of_contact_pair, front_nodes
+    return (
+        gap.tocsr(),
+        patch_areas[twin_index_of_contact_pair],
+        twin_index_of_contact_pair,
+        front_nodes,
+    )
 
 
 # --- of nodes -------------------------------------------------------------------------------------

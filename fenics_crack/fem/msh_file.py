@@ -522,11 +522,13 @@ def _tag_name_combinations(
     is_on_curve[unique_edge_index_of_edge, edge_curve_index] = True
     combinations, combination_index = np.unique(is_on_curve, axis=0, return_inverse=True)
     tagged_edges, curve_names = [], np.array(list(edges_by_name))
-    for index, combination in enumerate(combinations):
+    for index, is_name_in_combination in enumerate(combinations):
         combination_edges = all_edges[
             np.sort(first_index_of_unique_edge[combination_index.ravel() == index])
         ]
-        tagged_edges.append((index + 1, " and ".join(curve_names[combination]), combination_edges))
+        tagged_edges.append(
+            (index + 1, " and ".join(curve_names[is_name_in_combination]), combination_edges)
+        )
     combination_tags_of_curves = [
         tuple((np.flatnonzero(is_combination_on_curve) + 1).tolist())
         for is_combination_on_curve in combinations.T

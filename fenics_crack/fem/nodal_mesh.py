@@ -103,8 +103,8 @@ class NodalMesh:
             1 at the two nodes, on both crack faces, in the centre of each pair's patch; else 0.
         nodal_pressure_matrix : (n_nodes, n_pairs)
             Value of each pair's pressure function at the nodes of crack faces, linear between facet
-            corners. If the structure has no ``pressure_matrix``, the function is 1 at the corners
-            nearest to the pair and 0 on fronts.
+            corners. If the structure has no ``pressure_functions_at_nodes``, the function is 1 at
+            the corners nearest to the pair and 0 on fronts.
         """
         from scipy.spatial import cKDTree
 
@@ -125,8 +125,11 @@ class NodalMesh:
             corners[distances_to_nearest_pair_or_edge <= tolerance],
             nearest_pair_of_corner_node[distances_to_nearest_pair_or_edge <= tolerance],
         ] = 1.0
-        if structure_pairs.nodes is not None and structure_pairs.pressure_matrix is not None:
-            nodal_pressure_matrix[corners] = structure_pairs.pressure_matrix[
+        if (
+            structure_pairs.nodes is not None
+            and structure_pairs.pressure_functions_at_nodes is not None
+        ):
+            nodal_pressure_matrix[corners] = structure_pairs.pressure_functions_at_nodes[
                 cKDTree(structure_pairs.nodes).query(corner_points)[1]
             ].toarray()
         else:

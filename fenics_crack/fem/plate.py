@@ -91,7 +91,7 @@ def build_plate_or_solid_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> 
     """
     with _gmsh_on_root_context(comm):
         (facet_tags_by_group, position_by_point_name), crack_paths_or_surfaces = on_root(
-            comm, lambda: _fill_gmsh_model_from_scene(scene)
+            comm, lambda: _mesh_or_read_scene_into_gmsh(scene)
         )
         mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm, scene.dimension)
     return MeshWithNamedParts(
@@ -119,7 +119,7 @@ def write_msh(scene: Scene, path: str | Path) -> None:
     >>> fc.write_msh(scene, "plate.msh")
     """
     with _gmsh_on_root_context(MPI.COMM_SELF):
-        _fill_gmsh_model_from_scene(scene)
+        _mesh_or_read_scene_into_gmsh(scene)
         with partial_file(path) as partial_path:
             gmsh.write(str(partial_path))
             if not read_regular_file(partial_path, None).endswith(
@@ -153,7 +153,7 @@ def _gmsh_on_root_context(comm: MPI.Comm) -> Iterator[None]:
                 gmsh.finalize()
 
 
-def _fill_gmsh_model_from_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
+def _mesh_or_read_scene_into_gmsh(scene: Scene) -> tuple[NamedParts, Cracks]:
     """Mesh a scene, or read the scene's mesh file, into gmsh's current model.
 
     Returns
@@ -184,12 +184,12 @@ class Dofs:
     both sides have equal dofs.
     """
 
-    side_node_pairs: np.ndarray | None = None
+    sector_side_node_pairs: np.ndarray | None = None
     """Nodes on a disk sector's left side, and the matching nodes on the right side: (2, m) int.
     None without a sector."""
-    frame_rotation_matrix_by_node: np.ndarray | None = None
+    frame_to_space_rotation_by_node: np.ndarray | None = None
     """Rotation from each node's frame into space: (n_nodes, d, d). None without a sector."""
-    _free_dof_frame_rotation: sparse.csr_matrix | None = None
+    _frame_to_space_rotation_of_dofs: sparse.csr_matrix | None = None
     """Rotation of the free dofs from the nodes' frames into space: (n_local, n_local), or None."""
 
     def __init__(
@@ -206,10 +206,10 @@ class Dofs:
         """
         self.comm, self.part_mesh, self.space = comm, part_mesh, space
         self.dimension = space.mesh.geometry.dim
-        self.n_own_nodes = space.dofmap.index_map.size_local
+        self.n_nodes_owned_by_rank = space.dofmap.index_map.size_local
         self.first_node = space.dofmap.index_map.local_range[0]
         if is_constrained is None:
-            is_constrained = np.zeros((self.n_own_nodes, self.dimension), dtype=bool)
+            is_constrained = np.zeros((self.n_nodes_owned_by_rank, self.dimension), dtype=bool)
             is_constrained[self.nodes_on("clamp")] = True
         self.free_dofs = np.flatnonzero(~is_constrained.ravel())
         """Owned free dofs, as local numbers of the function space."""
@@ -224,7 +224,7 @@ class Dofs:
     def points(self) -> np.ndarray:
         """Return the positions of the nodes owned by this rank: (n_nodes, d) [m]."""
         return np.asarray(
-            self.space.tabulate_dof_coordinates()[: self.n_own_nodes, : self.dimension]
+            self.space.tabulate_dof_coordinates()[: self.n_nodes_owned_by_rank, : self.dimension]
         )
 
     def nodes_on(self, group_name: str, space: Any = None) -> np.ndarray:
@@ -239,7 +239,7 @@ class Dofs:
         nodes = np.sort(dolfinx.fem.locate_dofs_topological(space, facet_dimension, group_facets))
         return nodes[nodes < space.dofmap.index_map.size_local]
 
-    def set_sector_sides(self, side_node_pairs: np.ndarray, rotation: np.ndarray) -> None:
+    def set_sector_sides(self, sector_side_node_pairs: np.ndarray, rotation: np.ndarray) -> None:
         """Set the left and right side of a disk's sector, and rotate the dofs on the right side.
 
         The right side is the next sector's left side. Dofs there become components along the next
@@ -248,22 +248,24 @@ class Dofs:
 
         Parameters
         ----------
-        side_node_pairs : (2, m) int
+        sector_side_node_pairs : (2, m) int
             Nodes on the left side, and the matching nodes on the right side.
         rotation : (d, d)
             Rotation matrix from the left side to the right side.
         """
-        self.side_node_pairs, self.frame_rotation_matrix_by_node = (
-            side_node_pairs,
-            np.tile(np.eye(self.dimension), (self.n_own_nodes, 1, 1)),
+        self.sector_side_node_pairs, self.frame_to_space_rotation_by_node = (
+            sector_side_node_pairs,
+            np.tile(np.eye(self.dimension), (self.n_nodes_owned_by_rank, 1, 1)),
         )
-        self.frame_rotation_matrix_by_node[side_node_pairs[1]] = rotation
-        block_row_pointers = np.arange(self.n_own_nodes + 1)
+        self.frame_to_space_rotation_by_node[sector_side_node_pairs[1]] = rotation
+        block_row_pointers = np.arange(self.n_nodes_owned_by_rank + 1)
         block_diagonal_rotation = sparse.bsr_matrix(
-            (self.frame_rotation_matrix_by_node, block_row_pointers[:-1], block_row_pointers)
+            (self.frame_to_space_rotation_by_node, block_row_pointers[:-1], block_row_pointers)
         ).tocsr()
-        self._free_dof_frame_rotation = block_diagonal_rotation[self.free_dofs][:, self.free_dofs]
-        self._free_dof_frame_rotation.eliminate_zeros()
+        self._frame_to_space_rotation_of_dofs = block_diagonal_rotation[self.free_dofs][
+            :, self.free_dofs
+        ]
+        self._frame_to_space_rotation_of_dofs.eliminate_zeros()
 
     def restrict_to_free(self, forces: np.ndarray) -> np.ndarray:
         """Select the forces on free dofs from forces on all dofs of this rank.
@@ -274,8 +276,8 @@ class Dofs:
         free_forces = forces[..., self.free_dofs]
         return (
             free_forces
-            if self._free_dof_frame_rotation is None
-            else np.asarray(free_forces @ self._free_dof_frame_rotation)
+            if self._frame_to_space_rotation_of_dofs is None
+            else np.asarray(free_forces @ self._frame_to_space_rotation_of_dofs)
         )
 
     def restrict_matrix(self, full_matrix: Any) -> Any:
@@ -290,9 +292,11 @@ class Dofs:
         index_set = PETSc.IS().createGeneral(global_free_dofs, comm=full_matrix.comm)
         free_block = full_matrix.createSubMatrix(index_set, index_set)
         local_rows_matrix = sparse.csr_matrix(free_block.getValuesCSR()[::-1], free_block.sizes[0])
-        if self._free_dof_frame_rotation is not None:
+        if self._frame_to_space_rotation_of_dofs is not None:
             local_rows_matrix = sparse.csr_matrix(
-                self._free_dof_frame_rotation.T @ local_rows_matrix @ self._free_dof_frame_rotation
+                self._frame_to_space_rotation_of_dofs.T
+                @ local_rows_matrix
+                @ self._frame_to_space_rotation_of_dofs
             )
         local_rows_matrix.eliminate_zeros()
         csr_arrays = local_rows_matrix.indptr, local_rows_matrix.indices, local_rows_matrix.data
@@ -311,8 +315,8 @@ class Dofs:
         function = dolfinx.fem.Function(self.space)
         rotated_displacement = (
             displacement
-            if self._free_dof_frame_rotation is None
-            else self._free_dof_frame_rotation @ displacement
+            if self._frame_to_space_rotation_of_dofs is None
+            else self._frame_to_space_rotation_of_dofs @ displacement
         )
         function.x.array[self.free_dofs] = rotated_displacement
         function.x.scatter_forward()
@@ -332,6 +336,6 @@ class Dofs:
             dofs=self.structure_dof_numbers.reshape(-1, self.dimension),
             cells=np.asarray(global_node_numbers).reshape(cells.shape),
             vtk_type=max(self.comm.allgather(vtk_cell_type)),
-            mesh_dofs=self,
-            frames=self.frame_rotation_matrix_by_node,
+            dolfinx_mesh_and_dofs=self,
+            frames=self.frame_to_space_rotation_by_node,
         )

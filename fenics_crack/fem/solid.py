@@ -50,7 +50,7 @@ ALLOWED_MESHING_SECONDS = 600
 """Maximum processor time for meshing a part [s]."""
 ALLOWED_MESHING_BYTES = 2**33
 """Maximum address space for meshing a part [byte]."""
-FRONT_FRACTION_FOR_DEPTH_AND_LIGAMENT = 0.4
+MAX_RELATIVE_DISTANCE_FROM_FRONT_MIDDLE = 0.4
 """Maximum distance from a front's middle at which depth and ligament are measured, relative to the
 front's length."""
 MAX_CELLS = 2e6
@@ -92,7 +92,7 @@ def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     except InputError as error:
         raise meshing_refusal(scene, f"{error.value}") from None
     crack_centres = np.array(
-        [crack_surface.triangles.mean(axis=(0, 1)) for crack_surface in crack_surfaces]  # type: ignore[union-attr]
+        [crack_surface.triangle_corner_points.mean(axis=(0, 1)) for crack_surface in crack_surfaces]  # type: ignore[union-attr]
     )
     drawn_crack_centres = metres_per_unit * mesh_array_by_name["middles"]
     crack_surface_indices = [
@@ -136,7 +136,11 @@ def describe_faces_cracks_and_fronts(scene: Scene, structure: Structure) -> dict
     from fenics_crack.fem.fronts import find_fronts  # takes a while, with SciPy's splines
 
     assert structure.nodes is not None
-    part_mesh, comm, text_by_name = structure.nodes.mesh_dofs.part_mesh, structure.comm, {}  # type: ignore[union-attr]
+    part_mesh, comm, text_by_name = (
+        structure.nodes.dolfinx_mesh_and_dofs.part_mesh,
+        structure.comm,
+        {},
+    )  # type: ignore[union-attr]
     scalar_space = compat.function_space(part_mesh.mesh, 1, vectors=False)
     for face_name in sorted(set(part_mesh.tags_by_group) - {*CRACK_FACE_NAMES}):
         node_areas = compat.assembled_vector(
@@ -171,7 +175,7 @@ def describe_faces_cracks_and_fronts(scene: Scene, structure: Structure) -> dict
         )
         is_near_front_middle = front.is_closed | (
             np.abs(front_node_arc_lengths / front_node_arc_lengths[-1] - 0.5)
-            <= FRONT_FRACTION_FOR_DEPTH_AND_LIGAMENT
+            <= MAX_RELATIVE_DISTANCE_FROM_FRONT_MIDDLE
         )
         front_nodes_near_middle = front.node_positions[is_near_front_middle]
         front_frames_near_middle = front.frame_and_curvature(

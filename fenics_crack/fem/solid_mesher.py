@@ -42,11 +42,11 @@ MIN_JACOBIAN_RATIO_IN_CELL = 0.2
 straightened."""
 MIN_ELEMENT_ON_CURVED_FACE_TO_SIZE = 0.1
 """Minimum element length on curved faces, relative to ``mesh.size``."""
-MIN_LIGAMENT_IN_ELEMENTS = 0.1
+MIN_LIGAMENT_PER_ELEMENT_LENGTH = 0.1
 """Minimum distance between crack front and part surface, in element lengths at the front."""
-MAX_FACE_POINT_DISTANCE_TO_PART_SIZE = 0.1
+MAX_RELATIVE_POINT_TO_FACE_DISTANCE = 0.1
 """Maximum distance between a named point and the nearest face, relative to the part's size."""
-ELLIPSE_START_ANGLE = 1.0 + math.pi
+DRAWN_ELLIPSE_START_ANGLE = 1.0 + math.pi
 """Angle at which a drawn ellipse begins and ends [rad]. On an axis, the curve's end would lie
 beside the mouth of a half ellipse, and rounding would make a short edge."""
 MAX_SHORT_TO_LONG_ELLIPSE_RADIUS = 1.0 - 1e-9
@@ -302,7 +302,7 @@ def _find_names_and_face_tags(
     face_tags_by_name: dict[str, set[int]] = {}
     for name, point in names_and_points:
         point_distances = point_to_triangle_distances(np.array([point]), part_triangles)[0]
-        if point_distances.min() > MAX_FACE_POINT_DISTANCE_TO_PART_SIZE * part_size:
+        if point_distances.min() > MAX_RELATIVE_POINT_TO_FACE_DISTANCE * part_size:
             position_text = ", ".join(f"{1e-3 * coordinate:.4g}" for coordinate in point)
             requirement = (
                 f"points on faces; the point ({position_text}) m of {name} is"
@@ -405,7 +405,7 @@ def insert_cracks(
                 part_triangles
             )
             problem = (
-                f"the crack misses the part{_describe_part_extent(crack, part_triangles)}"
+                f"the crack misses the part{_describe_solid_extent(crack, part_triangles)}"
                 if not crack_piece_dim_tags
                 else "the crack lies in a face of the part" if np.any(is_on_part_face)
                 else f"the crack is in {len(crack_piece_dim_tags)} pieces"
@@ -448,7 +448,7 @@ def insert_cracks(
     return [surface_dim_tags[0][1] for surface_dim_tags in children[1:]], fronts
 
 
-def _describe_part_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
+def _describe_solid_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
     """Return text for an error: the range of coordinates [m] of the uncracked part.
 
     If the crack's point seems to be in mm, the text has a hint. ``part_triangles`` (n, 3, 3) are
@@ -486,7 +486,7 @@ def _draw_crack_face(crack: CrackData) -> Tags:
         ellipse_tag = occ.addEllipse(
             0.0, 0.0, 0.0, half_axis_a,
             min(half_axis_b, MAX_SHORT_TO_LONG_ELLIPSE_RADIUS * half_axis_a),
-            angle1=ELLIPSE_START_ANGLE, angle2=ELLIPSE_START_ANGLE + 2.0 * math.pi,
+            angle1=DRAWN_ELLIPSE_START_ANGLE, angle2=DRAWN_ELLIPSE_START_ANGLE + 2.0 * math.pi,
         )  # fmt: skip
         face_dim_tags = [(2, occ.addPlaneSurface([occ.addCurveLoop([ellipse_tag])]))]
     else:
@@ -594,7 +594,7 @@ def _check_front_and_ligament_exist(
     if (
         not front["curves"]
         or point_to_triangle_distances(centre, part_triangles).min()
-        < MIN_LIGAMENT_IN_ELEMENTS * shortest_element_length
+        < MIN_LIGAMENT_PER_ELEMENT_LENGTH * shortest_element_length
     ):
         problem_text = (
             "lies in a face of the part" if front["curves"] else "has no front inside the part"
@@ -610,7 +610,7 @@ def _check_front_and_ligament_exist(
     shortest_ligament = point_to_triangle_distances(points_off_ends, part_triangles).min(
         initial=np.inf
     )
-    if shortest_ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_element_length:
+    if shortest_ligament < MIN_LIGAMENT_PER_ELEMENT_LENGTH * shortest_element_length:
         distance_text = f"{shortest_ligament / shortest_element_length:.2g} element lengths away"
         requirement_text = f"farther from the surface: a part of the front is only {distance_text}"
         raise Refusal(point_key, requirement_text)

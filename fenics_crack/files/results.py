@@ -391,20 +391,22 @@ def rebuild_solution(
         normal_and_tangential_coefficients,
         normal_and_tangential_coefficients,
     )
-    displacement_coefficients = compliance_model.displacement(contact_row_force_coefficients)
+    computed_displacement_coefficients = compliance_model.displacement(
+        contact_row_force_coefficients
+    )
     compliance_model.destroy()
     solution = unpack_dataclass(
         PeriodicSolution,
         datasets,
         structure=structure,
         contact=contact,
-        displacement_coefficients=displacement_coefficients,
+        displacement_coefficients=computed_displacement_coefficients,
         stability=unpack_dataclass(Stability, datasets) if "multipliers" in datasets else None,
     ).reported(unpack_dataclass(ErrorReport, report_field_by_name))
     if solution.converged:
         _check_gap_coefficients(
             structure,
-            displacement_coefficients,
+            computed_displacement_coefficients,
             gap_coefficients,
             max(1e-6, 10.0 * solution.report.residual),
         )
@@ -821,7 +823,9 @@ def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray
     return dof_signs
 
 
-LAW_COMPARISON_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0)])
+GAP_VALUES_TO_COMPARE_LAWS = np.concatenate(
+    [sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0)]
+)
 """Gaps for comparing a user's law with a file [m]: 1e-12 to 10, both signs."""
 
 
@@ -829,7 +833,7 @@ def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
     """Return datasets that identify a contact law: class name and parameters.
 
     A law written by a user has no known parameters. Instead, "law_force" has the law's forces [N]
-    at the gaps :data:`LAW_COMPARISON_GAPS`, summed over the pairs.
+    at the gaps :data:`GAP_VALUES_TO_COMPARE_LAWS`, summed over the pairs.
     """
     attribute_names = (
         "stiffness", "sharpness", "layer_depth", "layer_share", "coefficient",
@@ -844,7 +848,7 @@ def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
     if contact is not None and "law_sharpness" not in datasets and not is_unilateral(contact):
         with np.errstate(all="ignore"):  # gaps far from the structure's
             force_summed_over_pairs = contact.force(
-                np.outer(LAW_COMPARISON_GAPS, np.ones(structure.n_pairs))
+                np.outer(GAP_VALUES_TO_COMPARE_LAWS, np.ones(structure.n_pairs))
             ).sum(axis=1)
         datasets["law_force"] = np.nan_to_num(
             force_summed_over_pairs, posinf=MAX_ALLOWED_MAGNITUDE
@@ -856,7 +860,7 @@ def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -
     """Raise InputError unless a file's contact law equals the given law.
 
     Class name and parameters are compared. For a law written by a user, forces are compared at the
-    gaps :data:`LAW_COMPARISON_GAPS`. Parameters and forces may differ by 1e-9, relative.
+    gaps :data:`GAP_VALUES_TO_COMPARE_LAWS`. Parameters and forces may differ by 1e-9, relative.
 
     Parameters
     ----------

@@ -632,7 +632,7 @@ class SavableResult(Tabular):
         """
         stored_file.check_kind(cls.KIND)
         with stored_file.yield_datasets_with_valid_numbers() as datasets:
-            result = cls._unpack_fields(datasets, stored_file.scene())
+            result = cls._from_datasets(datasets, stored_file.scene())
             repr(result), result.table()  # whose columns are of one length
             return result
 
@@ -641,7 +641,7 @@ class SavableResult(Tabular):
         return pack_dataclass(self)
 
     @classmethod
-    def _unpack_fields(cls, datasets: Datasets, scene: Scene | None) -> Self:
+    def _from_datasets(cls, datasets: Datasets, scene: Scene | None) -> Self:
         """Return the result from datasets by field name.
 
         ``scene`` is the scene in the file, or None.

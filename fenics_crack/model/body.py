@@ -74,7 +74,7 @@ class LoadDampingClearanceSetting:
 
     Attributes
     ----------
-    load_weights : float or (2K+1, 2K+1)
+    load_factor_or_harmonic_matrix : float or (2K+1, 2K+1)
         Factor of the load, or matrix that multiplies the load's rows: mean, then cosine and sine
         part of each harmonic 1 to K.
     damping_multiplier : float
@@ -86,7 +86,7 @@ class LoadDampingClearanceSetting:
         :attr:`DofsAndContactPairs.watched_dof` selects the dof.
     """
 
-    load_weights: float | np.ndarray = 1.0
+    load_factor_or_harmonic_matrix: float | np.ndarray = 1.0
     damping_multiplier: float = 1.0
     added_clearance: float | np.ndarray = 0.0
     watched_dof: int | None = None
@@ -102,7 +102,9 @@ class LoadDampingClearanceSetting:
         watched_dof = (
             self.watched_dof if later_setting.watched_dof is None else later_setting.watched_dof
         )
-        load_weights = np.dot(later_setting.load_weights, self.load_weights)
+        load_weights = np.dot(
+            later_setting.load_factor_or_harmonic_matrix, self.load_factor_or_harmonic_matrix
+        )
         damping_factor = later_setting.damping_multiplier * self.damping_multiplier
         added_clearance = later_setting.added_clearance + self.added_clearance
         return LoadDampingClearanceSetting(

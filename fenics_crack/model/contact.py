@@ -963,7 +963,7 @@ class ActiveSetSolver:
 
 
 def solve_complementarity(
-    matrix: np.ndarray, gap: np.ndarray, is_closed: np.ndarray | None = None
+    matrix: np.ndarray, penetration: np.ndarray, is_closed: np.ndarray | None = None
 ) -> np.ndarray:
     """Find contact forces lambda without penetration, from a compliance D and gaps g.
 
@@ -975,7 +975,7 @@ def solve_complementarity(
     ----------
     matrix : (n, n)
         D, positive definite, and nearly symmetric.
-    gap : (n,)
+    penetration : (n,)
         g, the gaps without contact forces; g > 0 is penetration.
     is_closed : (n,) bool, optional
         First guess of the positions with lambda > 0.
@@ -992,12 +992,14 @@ def solve_complementarity(
     """
     closed_guess = None if is_closed is None else np.array(is_closed)[None]
     return np.asarray(
-        ActiveSetSolver(matrix).solve(require_shape(gap, len(matrix))[None], closed_guess)[0][0]
+        ActiveSetSolver(matrix).solve(require_shape(penetration, len(matrix))[None], closed_guess)[
+            0
+        ][0]
     )
 
 
 def solve_complementarity_by_least_squares(
-    compliance_matrix: np.ndarray, gap: np.ndarray
+    compliance_matrix: np.ndarray, penetration: np.ndarray
 ) -> np.ndarray:
     """Find contact forces lambda without penetration, from a compliance D and gaps g.
 
@@ -1011,7 +1013,7 @@ def solve_complementarity_by_least_squares(
     ----------
     compliance_matrix : (n, n)
         D, positive definite, and nearly symmetric.
-    gap : (n,)
+    penetration : (n,)
         g, the gaps without contact forces; g > 0 is penetration.
 
     Returns
@@ -1032,12 +1034,12 @@ def solve_complementarity_by_least_squares(
         unit_diagonal_scale[:, None] * symmetric_part * unit_diagonal_scale
     )
     sqrt_eigenvalues = np.sqrt(np.maximum(eigenvalues, 1e-15 * eigenvalues.max(initial=0.0)))
-    tolerance = 1e-10 * float(np.abs(gap).max(initial=0.0))
-    forces = np.zeros(len(gap))
+    tolerance = 1e-10 * float(np.abs(penetration).max(initial=0.0))
+    forces = np.zeros(len(penetration))
     for _ in range(MAX_SMOOTH_LAW_ITERATIONS):
         least_squares_target = (
             eigenvectors.T
-            @ (unit_diagonal_scale * (gap - (compliance_matrix - symmetric_part) @ forces))
+            @ (unit_diagonal_scale * (penetration - (compliance_matrix - symmetric_part) @ forces))
         ) / sqrt_eigenvalues
         try:
             forces = (
@@ -1046,7 +1048,7 @@ def solve_complementarity_by_least_squares(
             )
         except RuntimeError:
             break
-        openings = compliance_matrix @ forces - gap
+        openings = compliance_matrix @ forces - penetration
         if (
             openings.min() >= -tolerance
             and np.abs(openings[forces > 0.0]).max(initial=0.0) <= tolerance

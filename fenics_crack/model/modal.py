@@ -82,7 +82,7 @@ class AllModes:
     residual_compliance: np.ndarray | None = None
     massless_displacement_by_pair_forces: np.ndarray | None = None
     """(n_dofs, n_pairs): displacement of the massless coordinates by unit forces on pairs."""
-    massless_flexibility: np.ndarray | None = None
+    massless_displacement_by_dof_forces: np.ndarray | None = None
     """(n_dofs, n_dofs): displacement of the massless coordinates by forces on dofs."""
     inverse_shapes: np.ndarray | None = None
     """Phi^T M, the inverse of Phi, if it is at hand: (n, n_dofs)."""
@@ -244,9 +244,13 @@ class AllModes:
             self.squares[~is_slow_mode],
             self.shapes[:, ~is_slow_mode],
         )
-        massless_flexibility = (fast_static_shapes / fast_squares) @ fast_static_shapes.T
-        if self.massless_flexibility is not None:
-            massless_flexibility = massless_flexibility + self.massless_flexibility
+        massless_displacement_by_dof_forces = (
+            fast_static_shapes / fast_squares
+        ) @ fast_static_shapes.T
+        if self.massless_displacement_by_dof_forces is not None:
+            massless_displacement_by_dof_forces = (
+                massless_displacement_by_dof_forces + self.massless_displacement_by_dof_forces
+            )
         slow_damping_rates = (
             self.damping[is_slow_mode]
             if self.damping.ndim == 1
@@ -260,7 +264,7 @@ class AllModes:
             self.is_unconstrained,
             self.static_pair_compliance(min_frequency),
             self.static_displacement_by_pair_forces(min_frequency),
-            massless_flexibility,
+            massless_displacement_by_dof_forces,
             self.shapes_inverse[is_slow_mode],
         )
 

@@ -437,7 +437,9 @@ def _find_modes_near_zero_omega(
         Shapes.
     """
     if not stiffness_inverse.n_null_pivots:
-        squared_omegas, shapes = _find_modes_near_shift(stiffness_inverse, structure, n_modes, 0.0)
+        squared_omegas, shapes = _find_squared_omegas_and_shapes_near_shift(
+            stiffness_inverse, structure, n_modes, 0.0
+        )
         if (
             squared_omegas[0] > MATRIX_ZERO_TOLERANCE * square_scale
         ):  # a singular K may give values below 0
@@ -447,7 +449,9 @@ def _find_modes_near_zero_omega(
         structure.stiffness, -squared_omega_shift, structure.mass, definite=True, border=ties
     )
     with shifted_factor as shifted_inverse:
-        return _find_modes_near_shift(shifted_inverse, structure, n_modes, squared_omega_shift)
+        return _find_squared_omegas_and_shapes_near_shift(
+            shifted_inverse, structure, n_modes, squared_omega_shift
+        )
 
 
 def n_krylov_vectors(n_modes: int) -> int:
@@ -459,7 +463,7 @@ def n_krylov_vectors(n_modes: int) -> int:
     return max(min(2 * n_modes, n_modes + 150), n_modes + 15)
 
 
-def _find_modes_near_shift(
+def _find_squared_omegas_and_shapes_near_shift(
     shifted_inverse: StiffnessInverse,
     structure: Structure,
     n_modes: int,

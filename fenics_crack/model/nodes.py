@@ -46,7 +46,7 @@ class Nodes(ReadOnlyArrays):
         This rank's cells in VTK's node order; nodes are numbered through all ranks.
     vtk_type : int
         VTK's number of the cell type; 0: no cells of one kind.
-    mesh_dofs : fenics_crack.fem.plate.Dofs or None
+    dolfinx_mesh_and_dofs : fenics_crack.fem.plate.Dofs or None
         DOLFINx's mesh and the dofs on it, kept for later integrals over the mesh. If the mesh were
         made again, the ranks might have other parts of it. None without DOLFINx's mesh.
     frames : (m, d, d) or None
@@ -58,7 +58,7 @@ class Nodes(ReadOnlyArrays):
     dofs: np.ndarray
     cells: np.ndarray
     vtk_type: int
-    mesh_dofs: Any = None
+    dolfinx_mesh_and_dofs: Any = None
     frames: np.ndarray | None = None
 
     def find_nearest_position_and_dofs(
@@ -162,7 +162,7 @@ class Pairs(ReadOnlyArrays):
         crack 1", "the middle of crack 2".
     nodes : (n, d) [m] or None
         Corners of the facets of a solid's crack faces; those on fronts come last.
-    pressure_matrix : (n, n_pairs) scipy.sparse.csr_matrix or None
+    pressure_functions_at_nodes : (n, n_pairs) scipy.sparse.csr_matrix or None
         Value of each pair's pressure function at ``nodes``: the shape of the pressure, 0 to 1, with
         which the pair's contact force acts on the crack faces.
     tangential_gap_matrix : (n_local, 2 n_pairs) scipy.sparse.csr_matrix or None
@@ -176,7 +176,7 @@ class Pairs(ReadOnlyArrays):
     positions: np.ndarray | None = None
     places: dict[str, int] = field(default_factory=dict)
     nodes: np.ndarray | None = None
-    pressure_matrix: sparse.csr_matrix | None = None
+    pressure_functions_at_nodes: sparse.csr_matrix | None = None
     tangential_gap_matrix: sparse.csr_matrix | None = None
 
 
@@ -305,10 +305,14 @@ class DofsAndContactPairs:
         A watched pair is named by its place: "at the mouth", "at the middle of crack 2". Any other
         pair is named by its number from 1: "of pair 3".
         """
-        place_by_pair = {
+        place_name_by_pair = {
             pair_index: place_name for place_name, pair_index in self.pairs.places.items()
         }
-        return f"at {place_by_pair[pair]}" if pair in place_by_pair else f"of pair {pair + 1}"
+        return (
+            f"at {place_name_by_pair[pair]}"
+            if pair in place_name_by_pair
+            else f"of pair {pair + 1}"
+        )
 
     @property
     def n_modes(self) -> int:
@@ -337,7 +341,7 @@ class DofsAndContactPairs:
         InputError
             The structure has no mesh of DOLFINx.
         """
-        mesh_and_dofs = getattr(self.whole.nodes, "mesh_dofs", None)
+        mesh_and_dofs = getattr(self.whole.nodes, "dolfinx_mesh_and_dofs", None)
         if mesh_and_dofs is None:
             raise InputError(
                 "structure",

@@ -141,10 +141,8 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
         load.
     """
     structure = structure.unvaried_structure
-    known_receptances = structure.compute_once(make_empty_receptance_list)
-    shared_receptances = structure.compute_once(
-        make_empty_shared_receptance_list, from_matrices=True
-    )
+    known_receptances = structure.compute_once(make_receptance_cache)
+    shared_receptances = structure.compute_once(make_shared_receptance_cache, from_matrices=True)
     if not known_receptances and shared_receptances:
         known_receptances += filter(
             None, [_convert_receptance_to_load(structure, shared_receptances[0])]
@@ -159,7 +157,7 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
     return known_receptances[0]
 
 
-def make_empty_receptance_list(structure: Structure) -> list[Receptance]:
+def make_receptance_cache(structure: Structure) -> list[Receptance]:
     """Return an empty list, in which a structure caches a receptance.
 
     The list holds the receptance with the most modes so far. The list does not refer to
@@ -168,7 +166,7 @@ def make_empty_receptance_list(structure: Structure) -> list[Receptance]:
     return []
 
 
-def make_empty_shared_receptance_list(structure: Structure) -> list[Receptance]:
+def make_shared_receptance_cache(structure: Structure) -> list[Receptance]:
     """Return an empty list, in which structures share a cached receptance.
 
     Structures with the same matrices share the list, whatever the load. The list holds the

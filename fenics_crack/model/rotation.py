@@ -478,7 +478,7 @@ class RunUpStructure(QuasiStaticReduction):
         scaled_eigenvectors = inverse_cholesky_factor.T @ eigenvectors[:, ::-1]
         damping = ritz.structure.damping
         omega = 1.0 / np.sqrt(inverse_squares)
-        body = ReducedBodyAtOneSpeed(
+        reduced_body = ReducedBodyAtOneSpeed(
             ritz.mass, None, ritz.gap, load_coefficients, ritz.structure.clearance,
             damping=damping and damping.rule_for_n_modes(len(load_coefficients[0])),
             tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
@@ -487,7 +487,7 @@ class RunUpStructure(QuasiStaticReduction):
             truncated_flexibility_root=scaled_eigenvectors[:, ritz.n_modes_with_mass :],
             dense_stiffness=projected_stiffness_at_speed,
         )  # fmt: skip
-        Structure.__init__(self, body)
+        Structure.__init__(self, reduced_body)
 
     @shared_property
     def stiffness(self) -> Any:

@@ -336,7 +336,10 @@ class Structure(DofsAndContactPairs):
             unvaried_load_coefficients
             if self.load_damping_clearance_changes is SETTING_WITHOUT_CHANGES
             else read_only_array(
-                np.dot(self.load_damping_clearance_changes.load_weights, unvaried_load_coefficients)
+                np.dot(
+                    self.load_damping_clearance_changes.load_factor_or_harmonic_matrix,
+                    unvaried_load_coefficients,
+                )
             )
         )
 
@@ -385,7 +388,7 @@ class Structure(DofsAndContactPairs):
         None without a mesh, and after :meth:`with_added_load_harmonics`.
         """
         return self.body.clamp and self.body.clamp.with_weights(
-            self.load_damping_clearance_changes.load_weights
+            self.load_damping_clearance_changes.load_factor_or_harmonic_matrix
         )
 
     @cached_property
@@ -658,7 +661,7 @@ class Structure(DofsAndContactPairs):
             )
         load_coefficients = add_harmonics_to_load(self.force, harmonics, self.mass)
         return self._in_setting(
-            replace(self.load_damping_clearance_changes, load_weights=1.0),
+            replace(self.load_damping_clearance_changes, load_factor_or_harmonic_matrix=1.0),
             force=load_coefficients,
             clamp=None,
         )
@@ -905,8 +908,9 @@ class Structure(DofsAndContactPairs):
 def _is_mean_kept(load_weights: np.ndarray) -> bool:
     """Return True if load weights keep the mean load.
 
-    ``load_weights`` is a factor of the load, or a matrix (2K+1, 2K+1) that maps the load's rows.
-    The mean is kept if the factor is 1, or the matrix has the first row and column of I.
+    ``load_factor_or_harmonic_matrix`` is a factor of the load, or a matrix (2K+1, 2K+1) that maps
+    the load's rows. The mean is kept if the factor is 1, or the matrix has the first row and column
+    of I.
     """
     if load_weights.ndim == 0:
         return bool(load_weights == 1.0)

@@ -207,7 +207,8 @@ def describe_run_up_end_or_empty(scene: Scene, run: Run[Any]) -> str:
         [passed_curve_point_indices[-1], unstable_index]
     ] / get_engine_order(scene.given("tip_timing"), run.scene)
     last_speed_text, unstable_speed_text = (
-        format_speed(rotor_speed, scene.is_speed_in_rpm) for rotor_speed in last_and_unstable_speeds
+        format_speed(last_or_unstable_speed, scene.is_speed_in_rpm)
+        for last_or_unstable_speed in last_and_unstable_speeds
     )
     run_up_end_text = f"the computed run-up ends at {last_speed_text}"
     return f"the vibration is unstable at {unstable_speed_text}: {run_up_end_text}"

@@ -156,13 +156,13 @@ def tip_timing(
 
 
 def _compute_arrival_times(
-    tip_motion: _TipMotion, probe_angles: np.ndarray, tip_radius: float
+    tip_motion: _TipMotionOverRotorAngle, probe_angles: np.ndarray, tip_radius: float
 ) -> np.ndarray:
     """Compute the times at which a blade tip passes the probes.
 
     Parameters
     ----------
-    tip_motion : _TipMotion
+    tip_motion : _TipMotionOverRotorAngle
         Displacement of the tip, and rotor speed.
     probe_angles : (probes,) [rad]
         Probe angles from the tip at time 0.
@@ -206,7 +206,7 @@ def _build_motion(
     speed: float | None,
     order: int | None,
     n_revolutions: int,
-) -> _TipMotion:
+) -> _TipMotionOverRotorAngle:
     """Return the motion of a blade tip over the rotor angle (collective).
 
     Parameters
@@ -250,7 +250,7 @@ def _build_motion(
     tip_fourier_coefficients = result.coefficients_at(list(factor_by_dof)) @ np.array(
         list(factor_by_dof.values()), dtype=float
     )
-    return _TipMotion(
+    return _TipMotionOverRotorAngle(
         first_and_last_rotor_speed=(rotor_speed, rotor_speed),
         n_revolutions=n_revolutions,
         speeds_with_known_vibration=np.array([rotor_speed, 2.0 * rotor_speed]),
@@ -261,7 +261,7 @@ def _build_motion(
 
 def _build_run_up_motion(
     curve: ResponseCurve, factor_by_dof: Mapping[int, float], order: int, n_revolutions: int
-) -> _TipMotion:
+) -> _TipMotionOverRotorAngle:
     """Return a blade tip's motion in a run-up or run-down along a curve.
 
     Parameters
@@ -300,7 +300,7 @@ def _build_run_up_motion(
     )
     tip_harmonics = to_complex(np.asarray(tip_fourier_coefficients)[passed_curve_point_indices].T).T
     slice_to_rising_speeds = slice(None, None, -1 if last_omega < first_omega else 1)
-    return _TipMotion(
+    return _TipMotionOverRotorAngle(
         first_and_last_rotor_speed=(
             first_omega / order,
             float(curve.omega[passed_curve_point_indices][-1]) / order,
@@ -382,7 +382,7 @@ def _mark_jumped_points(
 
 
 @dataclass(frozen=True)
-class _TipMotion:
+class _TipMotionOverRotorAngle:
     """Displacement u of a blade tip over the rotor angle alpha, along the rotation.
 
     With q periods of the response in a revolution, and H harmonics, the displacement is
@@ -522,7 +522,7 @@ class _TipMotion:
 
 
 def _solve_passing_angles_or_nan(
-    tip_motion: _TipMotion, target_angles: np.ndarray, tip_radius: float
+    tip_motion: _TipMotionOverRotorAngle, target_angles: np.ndarray, tip_radius: float
 ) -> np.ndarray:
     """Find the rotor angles at which a blade tip is at given angles.
 
@@ -530,7 +530,7 @@ def _solve_passing_angles_or_nan(
 
     Parameters
     ----------
-    tip_motion : _TipMotion
+    tip_motion : _TipMotionOverRotorAngle
         Motion with u(alpha).
     target_angles : (n,) [rad]
         Angles theta of the tip: probe angle plus whole turns.

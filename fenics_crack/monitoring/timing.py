@@ -49,7 +49,7 @@ INSIGNIFICANT_AMPLITUDE_NOTE_FORMAT = (
     "its amplitude exceeds its error at no speed, and is at most {}; more fitted revolutions give "
     "a smaller error (tip_timing.fitted_revolutions)"
 )
-UNTESTED_ORDER_DOUBT_FORMAT = (
+UNTESTED_ENGINE_ORDER_DOUBT_FORMAT = (
     "cannot test an order: order {:g} fits, but others may fit as well; give the possible ones "
     "as tip_timing.orders"
 )
@@ -61,7 +61,7 @@ UNMEASURABLE_ORDERS_REMARK_END = (
     "probes at these angles cannot measure (if these are possible, use other angles)"
 )
 EQUALLY_GOOD_ORDERS_REMARK_END = "explain the arrivals equally well (more probes distinguish them)"
-CONSTANT_FREQUENCY_ASSUMPTION_REMARK = (
+CONSTANT_NATURAL_FREQUENCY_REMARK = (
     "natural frequencies are assumed constant; if they change with the speed, damping is wrong, "
     "and frequencies are too high in a fast run-up, too low in a run-down: give "
     "tip_timing.stiffening"
@@ -168,7 +168,9 @@ def _make_fit_row_by_column(fit: TipFit, has_harmonic_ratio: bool) -> dict[str, 
     }
     ratio_column_names = "ratio_2_1", "ratio_2_1_error"
     return value_by_column | (
-        dict(zip(ratio_column_names, fit.ratio(), strict=True)) if has_harmonic_ratio else {}
+        dict(zip(ratio_column_names, fit.ratio_and_error(), strict=True))
+        if has_harmonic_ratio
+        else {}
     )
 
 
@@ -185,9 +187,9 @@ def report_of_timing(timing: Timing) -> Report:
     engine_order_tracks = [fit for fit in timing.fits.values() if isinstance(fit, TipTrack)]
     shown_table = timing.table()
     if passages_by_blade:
-        conclusion, note_texts, warning_texts = _conclude_on_run_up_resonances(passages_by_blade)
+        conclusion, note_texts, warning_texts = _describe_run_up_resonances(passages_by_blade)
     elif engine_order_tracks:
-        conclusion, shown_table, note_texts, warning_texts = _conclude_on_tracked_engine_order(
+        conclusion, shown_table, note_texts, warning_texts = _find_significant_harmonics_of_track(
             engine_order_tracks[0]
         )
     else:
@@ -216,7 +218,7 @@ def find_blade_of_largest_amplitude_or_none(timing: Timing) -> int | None:
     )
 
 
-def _conclude_on_run_up_resonances(
+def _describe_run_up_resonances(
     passages_by_blade: Mapping[int, tuple[PassageFit, ...]],
 ) -> tuple[Conclusion, list[str], list[str]]:
     """Conclude from the resonances of all blades in a run-up.
@@ -252,7 +254,8 @@ def _conclude_on_run_up_resonances(
     ]
     for blade, fit in blades_and_resonances:
         untested_order_text = (
-            f"{format_count(fit.probes, 'probe')} {UNTESTED_ORDER_DOUBT_FORMAT.format(fit.order)}"
+            f"{format_count(fit.probes, 'probe')} "
+            f"{UNTESTED_ENGINE_ORDER_DOUBT_FORMAT.format(fit.order)}"
         )
         doubts_and_texts = (
             (fit.is_order_untested, untested_order_text),
@@ -272,7 +275,7 @@ def _conclude_on_run_up_resonances(
             for is_doubtful, doubt_text in doubts_and_texts
             if is_doubtful
         ]
-    note_texts = [CONSTANT_FREQUENCY_ASSUMPTION_REMARK] * any(
+    note_texts = [CONSTANT_NATURAL_FREQUENCY_REMARK] * any(
         fit.stiffening == 0.0 for _, fit in blades_and_resonances[:1]
     )
     note_texts += [
@@ -320,7 +323,7 @@ def _format_amplitude_with_error(amplitude: float, amplitude_error: float) -> st
     return f"{format_quantity(amplitude, 'm')} ± {format_quantity(amplitude_error, 'm')}"
 
 
-def _conclude_on_tracked_engine_order(
+def _find_significant_harmonics_of_track(
     track: TipTrack,
 ) -> tuple[Conclusion, Table, list[str], list[str]]:
     """Conclude from an engine order that is tracked along a run-up.
@@ -349,7 +352,7 @@ def _conclude_on_tracked_engine_order(
     conclusion = Conclusion(
         "run-up tracked", f"no vibration of engine order {track.order:g} is larger than its errors"
     )
-    peak_rows, note_texts = [], []
+    harmonic_peak_rows, note_texts = [], []
     # Without any vibration, the largest amplitude at n speeds is several errors large.
     min_amplitude_to_error_ratio = float(
         np.sqrt(2.0 * np.log(len(track.speed) / SIGNIFICANCE_LIMITS.misfit_significance_level))
@@ -366,7 +369,7 @@ def _conclude_on_tracked_engine_order(
                 float(amplitudes[peak_row_index]),
                 float(amplitude_errors[peak_row_index]),
             )
-            peak_rows.append(
+            harmonic_peak_rows.append(
                 [
                     float(harmonic_multiple),
                     *(
@@ -376,7 +379,7 @@ def _conclude_on_tracked_engine_order(
                     *peak_and_error,
                 ]
             )
-            if len(peak_rows) == 1:
+            if len(harmonic_peak_rows) == 1:
                 peak_frequency = track.omega[peak_row_index] / RAD_PER_TURN
                 peak_text = (
                     f"{peak_frequency:.6g} Hz, engine order {track.order:g}, "
@@ -396,7 +399,9 @@ def _conclude_on_tracked_engine_order(
         "multiple, where it is largest",
         *(track_table.columns[column_index] for column_index in kept_column_indices),
     ]
-    peak_table = Table([*peak_column_names, "amplitude [m]", "amplitude_error [m]"], peak_rows)
+    harmonic_peak_table = Table(
+        [*peak_column_names, "amplitude [m]", "amplitude_error [m]"], harmonic_peak_rows
+    )
     doubt_texts = [NO_SPARE_PROBE_DOUBT] if np.isnan(track.misfit) else []
     if track.does_not_fit:
         doubt_texts.append(
@@ -407,7 +412,7 @@ def _conclude_on_tracked_engine_order(
         )
     elif track.in_doubt and not doubt_texts:
         doubt_texts.append(ALIASED_HARMONICS_DOUBT)
-    return conclusion, peak_table, note_texts, doubt_texts
+    return conclusion, harmonic_peak_table, note_texts, doubt_texts
 
 
 def _conclude_on_steady_vibrations(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
@@ -470,7 +475,7 @@ def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
         for asynchronous_fit in fit.asynchronous
     ]
     if _is_second_harmonic_fitted(fit):
-        harmonic_ratio, harmonic_ratio_error = fit.ratio()
+        harmonic_ratio, harmonic_ratio_error = fit.ratio_and_error()
         note_texts.append(
             f"ratio of second to first harmonic: {harmonic_ratio:.4g} ± {harmonic_ratio_error:.2g}"
         )

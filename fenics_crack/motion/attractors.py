@@ -15,7 +15,7 @@ from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import (
     INSTANTS_PER_PERIOD,
-    MAX_ORBIT_SEARCH_TAYLOR_PIECES,
+    MAX_TAYLOR_PIECES_PER_ORBIT_SEARCH,
     PeriodicOrbit,
     find_orbit,
 )
@@ -26,7 +26,7 @@ from fenics_crack.motion.search import (
     yield_states_after_periods,
 )
 from fenics_crack.motion.shooting import FlowOrbitEquations
-from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
+from fenics_crack.numerics.equations import SPECIAL_POINT_TOLERANCE
 
 MAX_SETTLED_CHANGE = 1e-3
 """Maximum relative distance of a settled motion's state from an earlier state."""
@@ -167,7 +167,7 @@ def find_attractor(
             distance_to_orbit = np.linalg.norm(orbit_equations.unknown(orbit.state) - last_state)
             # A state at the distance d from an orbit with the multiplier mu moves by at least
             # (1 - |mu|) d in a period.
-            allowed_movement = 2.0 * lag_distances[lag_index] + MAX_LOCATION_RESIDUAL * state_size
+            allowed_movement = 2.0 * lag_distances[lag_index] + SPECIAL_POINT_TOLERANCE * state_size
             if (
                 relative_decay_per_period > 0.0
                 and relative_decay_per_period * distance_to_orbit <= allowed_movement
@@ -229,11 +229,11 @@ def find_irregular_motion(
         flow.energy_weights(omega / subharmonic),
     )
     state_change = np.random.default_rng(1).normal(size=flow.state_size) / energy_weights
-    remaining_taylor_pieces, cumulative_log_growths = MAX_ORBIT_SEARCH_TAYLOR_PIECES, [0.0]
+    remaining_taylor_pieces, cumulative_log_growths = MAX_TAYLOR_PIECES_PER_ORBIT_SEARCH, [0.0]
     with suppress(ConvergenceError):  # also at the end of its budget
         for _ in range(MAX_GROWTH_PERIODS):
             period_motion = flow.advance(
-                state, omega, period, budget=Budget(allowed_pieces=remaining_taylor_pieces)
+                state, omega, period, budget=Budget(max_taylor_pieces=remaining_taylor_pieces)
             )
             state_change = period_motion.track @ (
                 state_change / np.linalg.norm(energy_weights * state_change)

@@ -65,15 +65,15 @@ class Budget:
 
     Attributes
     ----------
-    allowed_pieces : int
+    max_taylor_pieces : int
         Maximum number of Taylor pieces: parts of the motion with one Taylor series each.
-    allowed_event_intervals : int
+    max_event_intervals : int
         Maximum number of intervals between events. At an event, a pair opens, closes, sticks or
         slips.
     """
 
-    allowed_pieces: int = 100_000
-    allowed_event_intervals: int = 20_000
+    max_taylor_pieces: int = 100_000
+    max_event_intervals: int = 20_000
 
 
 class BudgetError(ConvergenceError):
@@ -182,7 +182,7 @@ class ModalFlow:
         Number of modes, and of entries in a state.
     residual_flexibility : (n_rows, n_rows) [m/N]
         R_inf: gap change by unit contact forces through the massless coordinates; 0 without these.
-    softness : (n_rows,) [m/N]
+    contact_spring_compliance : (n_rows,) [m/N]
         1 / kappa, compliance of the contact springs; 0 for rigid contact.
     compliance : (n_rows, n_rows) [m/N]
         R_inf + diag(1 / kappa).
@@ -205,13 +205,15 @@ class ModalFlow:
         self.n_modes = len(modal_model.squares)
         self.state_size = 2 * self.n_modes + (self.n_normal_rows if self.friction_law else 0)
         self.residual_flexibility = modal_model.static_pair_compliance()
-        self.softness = spring_compliances(contact, structure.n_pairs)
-        self.compliance = self.residual_flexibility + np.diag(self.softness)
+        self.contact_spring_compliance = spring_compliances(contact, structure.n_pairs)
+        self.compliance = self.residual_flexibility + np.diag(self.contact_spring_compliance)
         self.modal_load = np.ascontiguousarray(structure.force @ modal_model.shapes)
-        self.massless_load_gap_less_clearance = np.zeros((len(self.modal_load), len(self.softness)))
-        if modal_model.massless_flexibility is not None:
+        self.massless_load_gap_less_clearance = np.zeros(
+            (len(self.modal_load), len(self.contact_spring_compliance))
+        )
+        if modal_model.massless_displacement_by_dof_forces is not None:
             self.massless_load_gap_less_clearance += structure_with_contact_rows.apply_bt(
-                structure.force @ modal_model.massless_flexibility
+                structure.force @ modal_model.massless_displacement_by_dof_forces
             )
         self.massless_load_gap_less_clearance[0] -= structure_with_contact_rows.clearance
 
@@ -302,12 +304,14 @@ class ModalFlow:
 
         displacement: np.ndarray = modal_displacement @ select_rows(modal_model.shapes).T
         if (
-            modal_model.massless_flexibility is not None
+            modal_model.massless_displacement_by_dof_forces is not None
             and modal_model.massless_displacement_by_pair_forces is not None
         ):
             displacement += (
                 load_basis
-                @ select_rows((self.structure.force @ modal_model.massless_flexibility).T).T
+                @ select_rows(
+                    (self.structure.force @ modal_model.massless_displacement_by_dof_forces).T
+                ).T
             )
             responses = modal_model.massless_displacement_by_pair_forces
             responses_to_pairs, _ = merge_layers_of_pairs(
@@ -526,7 +530,7 @@ class ContactFlow(ModalFlow):
         end_state = np.array(state, dtype=float).reshape(self.state_size)
         instants = np.zeros(0) if instants is None else as_doubles(instants)
         n_instants = len(instants)
-        n_contact_rows = len(self.softness)
+        n_contact_rows = len(self.contact_spring_compliance)
         n_pairs = self.n_normal_rows
         state_samples = np.empty((n_instants, 2 * self.n_modes))
         forces_and_openings = np.empty(
@@ -599,8 +603,8 @@ class ContactFlow(ModalFlow):
         fields of the struct by name.
         """
         budget = budget or Budget()
-        if self._track_buffer_length < budget.allowed_event_intervals:
-            self._track_buffer_length = max_intervals = budget.allowed_event_intervals
+        if self._track_buffer_length < budget.max_event_intervals:
+            self._track_buffer_length = max_intervals = budget.max_event_intervals
             pair_state_buffer = np.empty((max_intervals, self.n_normal_rows), np.int8)
             self._track_array_by_name = {
                 "sets": pair_state_buffer,
@@ -615,8 +619,8 @@ class ContactFlow(ModalFlow):
             self._base_struct = Struct("flow_motion", **self._track_array_by_name)
         track_array_by_name = self._track_array_by_name
         limits_by_name = {
-            "max_pieces": budget.allowed_pieces,
-            "max_intervals": budget.allowed_event_intervals,
+            "max_pieces": budget.max_taylor_pieces,
+            "max_intervals": budget.max_event_intervals,
         }
 
         def copy_track(n_intervals: int) -> dict[str, np.ndarray]:
@@ -705,7 +709,9 @@ class Track:
             Derivative of each contact spring's compliance 1 / kappa [m/N] by the parameter.
         """
         end_state_derivative = np.empty(self.flow.state_size)
-        checked_softness_rate = require_shape(softness_rate, *self.flow.softness.shape)
+        checked_softness_rate = require_shape(
+            softness_rate, *self.flow.contact_spring_compliance.shape
+        )
         outcome = kernel.flow_by_structure(
             self.flow.handle, self._struct.address, pointer(as_doubles(start_state)), NULL,
             pointer(checked_softness_rate), pointer(end_state_derivative),
@@ -809,7 +815,7 @@ class Samples:
         pair has two normal forces: in the layer, and below the layer.
         """
         if self.flow.friction_law:
-            return self.forces_and_openings[:, : len(self.flow.softness)]
+            return self.forces_and_openings[:, : len(self.flow.contact_spring_compliance)]
         return np.where(self.is_closed, np.maximum(self.forces_and_openings, 0.0), 0.0)
 
     @cached_property
@@ -819,9 +825,12 @@ class Samples:
         Normal gaps come first; with friction tangential gaps follow. Under the layered law a pair
         has two normal gaps: to the layer, and to the contact below the layer.
         """
-        spring_deformations = self.contact_row_forces * self.flow.softness
+        spring_deformations = self.contact_row_forces * self.flow.contact_spring_compliance
         if self.flow.friction_law:
-            return self.forces_and_openings[:, len(self.flow.softness) :] + spring_deformations
+            return (
+                self.forces_and_openings[:, len(self.flow.contact_spring_compliance) :]
+                + spring_deformations
+            )
         return np.where(self.is_closed, spring_deformations, -self.forces_and_openings)
 
     @cached_property
@@ -858,7 +867,9 @@ class Samples:
         h is the tangential gap less the tangential spring's deformation, and is constant while the
         pair sticks. Under the layered law: (n, 2 n_pairs). Without friction: (n, 0).
         """
-        return self.forces_and_openings[:, len(self.flow.softness) + self.flow.n_normal_rows :]
+        return self.forces_and_openings[
+            :, len(self.flow.contact_spring_compliance) + self.flow.n_normal_rows :
+        ]
 
     @property
     def whole_states(self) -> np.ndarray:

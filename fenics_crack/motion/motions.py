@@ -1,7 +1,7 @@
 """Observed motions: each kind yields a :class:`MotionRecord` for all numbers.
 
 Motions are harmonic-balance solutions, exact orbits, time histories, and curves. Each has one
-method, ``yield_records_of_row_products``. It multiplies the displacement by given rows, and adds
+method, ``yield_motion_records``. It multiplies the displacement by given rows, and adds
 the gaps and contact forces at the crack faces, over a period. A curve has a record for each point.
 
 Crack indicators change with the crack. A watched displacement is
@@ -302,14 +302,14 @@ class DisplacementHarmonics:
 
     def __init__(self, coefficients: np.ndarray, subharmonic: int) -> None:
         self.coefficients, self._subharmonic = coefficients, subharmonic
-        self._amplitudes = np.hypot(coefficients[1::2], coefficients[2::2])
+        self._amplitude_by_order = np.hypot(coefficients[1::2], coefficients[2::2])
         amplitude_at_load_frequency = self.amplitude_at_load_multiple(1)
         self.mean = float(coefficients[0])
         self.amplitude_at_load_frequency = (
             amplitude_at_load_frequency if amplitude_at_load_frequency > 0.0 else math.nan
         )
         self.largest_order = self.ratio_largest = math.nan
-        higher_amplitudes = self._amplitudes[2 * subharmonic - 1 :: subharmonic]
+        higher_amplitudes = self._amplitude_by_order[2 * subharmonic - 1 :: subharmonic]
         if len(higher_amplitudes):
             largest_index = int(higher_amplitudes.argmax())
             self.ratio_largest = (
@@ -327,8 +327,8 @@ class DisplacementHarmonics:
         nan if the motion has no such harmonic, or too few harmonics.
         """
         order = multiple * self._subharmonic
-        has_harmonic = order == int(order) and order <= len(self._amplitudes)
-        return float(self._amplitudes[int(order) - 1]) if has_harmonic else math.nan
+        has_harmonic = order == int(order) and order <= len(self._amplitude_by_order)
+        return float(self._amplitude_by_order[int(order) - 1]) if has_harmonic else math.nan
 
     def ratio(self, multiple: float) -> float:
         """Return the ratio U_j / U_1, with j = ``multiple``.
@@ -365,7 +365,7 @@ class CrackFaceGapsAndForces:
     ----------
     gap, force : (n, n_pairs) [m], [N]
         Normal gaps and contact forces.
-    gap_and_force_maxima : (4,)
+    overall_gap_and_force_maxima : (4,)
         Largest opening and penetration [m], largest contact force of a pair and of a crack [N].
     is_slipping_at_instants, is_sticking_at_instants : (n, n_pairs) bool
         With friction: True if a pair slips or sticks.
@@ -379,7 +379,7 @@ class CrackFaceGapsAndForces:
     def __init__(self, record: MotionRecord) -> None:
         n_pairs, last_period_record = record.n_pairs, record.last_periods(1)
         self.gap, self.force = record.gaps[:, :n_pairs], record.forces[:, :n_pairs]
-        self.gap_and_force_maxima = record.row_and_face_maxima[-4:]
+        self.overall_gap_and_force_maxima = record.row_and_face_maxima[-4:]
         if record.friction_coefficient is not None:
             normal_force, friction_force = np.hsplit(last_period_record.forces, 2)
             self.is_slipping_at_instants = is_slipping(
@@ -478,19 +478,19 @@ class IndicatorsAndCoefficients(NamedTuple):
     faces="face_indicators",
     measure="indicators_of_dofs",
     observe="observe_dofs",
-    records="yield_records_of_row_products",
+    records="yield_motion_records",
 )
 class ObservedMotion:
     """Base of all motions: solutions, orbits, time histories and curves.
 
     Numbers like crack indicators come from a :class:`MotionRecord`. A record has observed
     displacements, gaps and contact forces at instants. A subclass defines
-    :meth:`yield_records_of_row_products` to make the record.
+    :meth:`yield_motion_records` to make the record.
     """
 
     structure: Structure
 
-    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[MotionRecord]:
+    def yield_motion_records(self, rows: np.ndarray) -> Iterator[MotionRecord]:
         """Yield the motion's :class:`MotionRecord`, or one for each curve point (collective).
 
         Parameters
@@ -606,9 +606,7 @@ class ObservedMotion:
         number_dicts_of_records = []
         coefficient_arrays_of_records = []
         extra_row_value_dicts = list[dict[str, float]]()
-        for record_index, record_of_all_rows in enumerate(
-            self.yield_records_of_row_products(all_rows)
-        ):
+        for record_index, record_of_all_rows in enumerate(self.yield_motion_records(all_rows)):
             dof_record = record_of_all_rows.last_periods(N_RECORDED_PERIODS_OF_INTEGRATION)
             dof_record = dof_record.select_rows(slice(len(rows))) if places else dof_record
             if record_index < len(self._face_indicators_of_records):

@@ -59,19 +59,19 @@ from fenics_crack.motion.flow import (
 )
 from fenics_crack.motion.motions import MotionRecord, ObservedMotion
 from fenics_crack.numerics.equations import (
-    MAX_LOCATION_RESIDUAL,
     ROOT_TOLERANCE,
+    SPECIAL_POINT_TOLERANCE,
     factorise_transpose,
     solve_by_factors_of_transpose,
 )
 from fenics_crack.numerics.fourier import fourier_basis_for, fourier_coefficients
 from fenics_crack.numerics.newton import FORCING_TERM, change_relative_to_motion, gmres
 
-MAX_SEARCH_PERIODS = 20
+MAX_PERIODS_IN_NEWTON_SEARCH = 20
 """Maximum number of periods that Newton's method integrates in one search for an orbit."""
 MIN_NEWTON_DAMPING = 1e-3
 """Minimum factor of a shortened Newton step; a search that needs a smaller one fails."""
-MAX_ORBIT_SEARCH_TAYLOR_PIECES = 20_000
+MAX_TAYLOR_PIECES_PER_ORBIT_SEARCH = 20_000
 """Maximum number of Taylor pieces (intervals with a single Taylor series) in a search: about a
 second, with many pairs. With up to 120 modes the maximum is larger if 20 periods without events
 need more, unless the load is too slow (:func:`is_load_too_slow`)."""
@@ -79,7 +79,7 @@ MAX_MODES_FOR_MONODROMY = 120
 """Maximum modes for which the monodromy matrix M is formed; more modes use GMRES."""
 MAX_GMRES_PRODUCTS = 60
 """Maximum products with the monodromy matrix in a solution by GMRES."""
-COMPARED_STEP_GMRES_TOLERANCE = 0.25
+SIMPLIFIED_STEP_GMRES_TOLERANCE = 0.25
 """Relative residual of GMRES for a simplified step, needed in the natural test."""
 MULTIPLIER_TOLERANCE = 1e-6
 """Accuracy of Floquet multipliers mu. A smaller distance ||mu| - 1| does not tell the stability.
@@ -132,7 +132,8 @@ class OrbitPrediction(NamedTuple):
 
 
 @keep_old_attribute_names(
-    flows="n_periods_in_newton_search",
+    yield_records_of_row_products="yield_motion_records",
+    flows="n_periods_integrated_by_newton",
     stuck="always_stuck_pair_indices",
     work="work_of_load_and_losses",
     events="n_events",
@@ -156,7 +157,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     state : (flow.state_size,)
         State z at phase zero of the load: modal displacements q and velocities q', with friction
         also the pairs' slider positions h.
-    n_periods_in_newton_search : int
+    n_periods_integrated_by_newton : int
         Number of periods integrated by Newton's method.
     """
 
@@ -165,7 +166,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     subharmonic: int
     motion: IntegratedMotion
     state: np.ndarray
-    n_periods_in_newton_search: int
+    n_periods_integrated_by_newton: int
 
     frequency = hertz_property()
 
@@ -177,7 +178,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     @property
     def iterations(self) -> int:
         """Return the number of Newton steps, rejected steps included."""
-        return self.n_periods_in_newton_search - 1
+        return self.n_periods_integrated_by_newton - 1
 
     @property
     def n_events(self) -> int:
@@ -290,7 +291,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         """Return the structure that vibrates."""
         return self.flow.structure
 
-    def yield_records_of_row_products(
+    def yield_motion_records(
         self, rows: np.ndarray, instants: int | None = None
     ) -> Iterator[MotionRecord]:
         """Yield the motion's :class:`MotionRecord` over a period: displacements, gaps and forces.
@@ -702,7 +703,7 @@ def is_orbit_search_affordable(
     flow: ContactFlow,
     omega: float,
     subharmonic: int = 1,
-    n_periods: int = MAX_SEARCH_PERIODS + MAX_GMRES_PRODUCTS,
+    n_periods: int = MAX_PERIODS_IN_NEWTON_SEARCH + MAX_GMRES_PRODUCTS,
 ) -> bool:
     """Return True if a search for an orbit does not take too long.
 
@@ -730,7 +731,7 @@ def is_orbit_search_affordable(
     pieces_per_period = flow.estimate_taylor_pieces(2.0 * np.pi * subharmonic / omega)
     return (
         flow.structure.has_massless_crack_faces
-        and n_periods * pieces_per_period <= MAX_ORBIT_SEARCH_TAYLOR_PIECES
+        and n_periods * pieces_per_period <= MAX_TAYLOR_PIECES_PER_ORBIT_SEARCH
     )
 
 
@@ -742,7 +743,8 @@ def is_load_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> b
     """
     pieces_per_period = flow.estimate_taylor_pieces(2.0 * np.pi * subharmonic / omega)
     return (
-        flow.n_modes <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces_per_period > Budget.allowed_pieces
+        flow.n_modes <= MAX_MODES_FOR_MONODROMY
+        and 2.0 * pieces_per_period > Budget.max_taylor_pieces
     )
 
 
@@ -854,7 +856,7 @@ def find_orbit(
     *,
     subharmonic: int = 1,
     solve_i_minus_m: IMinusMSolver | None = None,
-    step_tolerance: float = MAX_LOCATION_RESIDUAL,
+    step_tolerance: float = SPECIAL_POINT_TOLERANCE,
     failure_reasons: list[str] | None = None,
 ) -> PeriodicOrbit | None:
     """Search for an orbit from a state by Newton's method.
@@ -891,7 +893,9 @@ def find_orbit(
             return None
     except (ConvergenceError, np.linalg.LinAlgError, ValueError) as error:
         if failure_reasons is not None and isinstance(error, BudgetError):
-            budget_text = f"its limit of {newton_search.allowed_taylor_pieces:,} Taylor series"
+            budget_text = (
+                f"its limit of {newton_search.max_taylor_pieces_in_search:,} Taylor series"
+            )
             failure_reasons.append(
                 f"the search for an exact orbit ended at {budget_text}; {FEWER_EVENTS_ADVICE}"
             )
@@ -919,7 +923,7 @@ class _NewtonOrbitSearch:
         Motion over a period from this state.
     n_integrated_periods : int
         Number of periods integrated so far.
-    allowed_taylor_pieces : int
+    max_taylor_pieces_in_search : int
         Maximum Taylor pieces in all periods together.
     """
 
@@ -928,15 +932,15 @@ class _NewtonOrbitSearch:
     ) -> None:
         self._flow, self._omega = flow, omega
         self._period = 2.0 * np.pi * subharmonic / omega
-        allowed_taylor_pieces = MAX_ORBIT_SEARCH_TAYLOR_PIECES
+        max_taylor_pieces_in_search = MAX_TAYLOR_PIECES_PER_ORBIT_SEARCH
         if flow.n_modes <= MAX_MODES_FOR_MONODROMY and not is_load_too_slow(
             flow, omega, subharmonic
         ):
-            allowed_taylor_pieces = max(
-                allowed_taylor_pieces,
-                math.ceil(MAX_SEARCH_PERIODS * flow.estimate_taylor_pieces(self._period)),
+            max_taylor_pieces_in_search = max(
+                max_taylor_pieces_in_search,
+                math.ceil(MAX_PERIODS_IN_NEWTON_SEARCH * flow.estimate_taylor_pieces(self._period)),
             )
-        self.allowed_taylor_pieces = self._remaining_pieces = allowed_taylor_pieces
+        self.max_taylor_pieces_in_search = self._remaining_pieces = max_taylor_pieces_in_search
         self._weights = flow.energy_weights(omega / subharmonic)
         self.state, self.n_integrated_periods = state, 0
 
@@ -972,7 +976,7 @@ class _NewtonOrbitSearch:
             newton_steps_with_same_m = [
                 solve_i_minus_m(self.motion.state - self.state, FORCING_TERM)
             ]
-        while self.n_integrated_periods < MAX_SEARCH_PERIODS:
+        while self.n_integrated_periods < MAX_PERIODS_IN_NEWTON_SEARCH:
             if solve_i_minus_m is None or not newton_steps_with_same_m:
                 solve_i_minus_m = _make_i_minus_m_solver(
                     self._flow, self.motion.track, self._weights
@@ -985,7 +989,7 @@ class _NewtonOrbitSearch:
             trial_state = self.state + damping_factor * newton_step
             trial_period_motion = self._integrate_period(trial_state)
             simplified_step = solve_i_minus_m(
-                trial_period_motion.state - trial_state, COMPARED_STEP_GMRES_TOLERANCE
+                trial_period_motion.state - trial_state, SIMPLIFIED_STEP_GMRES_TOLERANCE
             )
             for broyden_step, next_broyden_step in pairwise(newton_steps_with_same_m):
                 broyden_update_factor = self._fraction_along(simplified_step, broyden_step)
@@ -1036,7 +1040,7 @@ class _NewtonOrbitSearch:
     def _integrate_period(self, state: np.ndarray) -> IntegratedMotion:
         """Integrate a period from a state, with the remaining Taylor pieces as budget."""
         self.n_integrated_periods += 1
-        budget = Budget(allowed_pieces=self._remaining_pieces)
+        budget = Budget(max_taylor_pieces=self._remaining_pieces)
         motion = self._flow.advance(state, self._omega, self._period, budget=budget)
         self._remaining_pieces -= motion.n_taylor_pieces
         return motion

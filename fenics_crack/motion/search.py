@@ -39,7 +39,7 @@ from fenics_crack.motion.flow import FEWER_EVENTS_ADVICE, Budget, ContactFlow
 from fenics_crack.motion.orbit import (
     INSTANTS_PER_PERIOD,
     MAX_MODES_FOR_MONODROMY,
-    MAX_SEARCH_PERIODS,
+    MAX_PERIODS_IN_NEWTON_SEARCH,
     IMinusMSolver,
     PeriodicOrbit,
     find_orbit,
@@ -47,7 +47,7 @@ from fenics_crack.motion.orbit import (
     predict_orbit_by_newton_step,
 )
 from fenics_crack.motion.shooting import FlowOrbitEquations, OrbitPoint
-from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL, DenseLinearisation
+from fenics_crack.numerics.equations import SPECIAL_POINT_TOLERANCE, DenseLinearisation
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_over_period
 from fenics_crack.numerics.newton import point_on_path, solve_in_plane
 from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, Path, Target
@@ -348,13 +348,13 @@ class GuessToOrbitHomotopy:
 
     Attributes
     ----------
-    remaining_taylor_pieces : int
+    taylor_piece_budget_left : int
         Taylor pieces left for the path; a period counts for at least 200.
     """
 
     def __init__(self, orbit_equations: FlowOrbitEquations, taylor_piece_budget: int) -> None:
         self._orbit_equations, self.shape = orbit_equations, orbit_equations.shape
-        self.remaining_taylor_pieces = taylor_piece_budget
+        self.taylor_piece_budget_left = taylor_piece_budget
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
         """Return the equations at a scaled state and a parameter p.
@@ -364,10 +364,10 @@ class GuessToOrbitHomotopy:
         ConvergenceError
             No pieces are left, or the motion cannot be integrated.
         """
-        if self.remaining_taylor_pieces <= 0:
+        if self.taylor_piece_budget_left <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
         orbit_point = self._orbit_equations.linearise(unknown, 1.0)
-        self.remaining_taylor_pieces -= max(
+        self.taylor_piece_budget_left -= max(
             orbit_point.n_taylor_pieces, MIN_PIECES_CHARGED_PER_PERIOD
         )
         return _HomotopyPoint(orbit_point, parameter, self._orbit_equations.start_unknown)
@@ -384,7 +384,7 @@ def _find_orbit_along_path(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
     homotopy = GuessToOrbitHomotopy(
         orbit_equations, SearchOptions.piece_budget(search_task.flow) // 2
     )
-    path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.allowed_pieces)
+    path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.max_taylor_pieces)
     with suppress(ConvergenceError, np.linalg.LinAlgError):
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
         guess_orbit_point = solve_in_plane(
@@ -392,7 +392,7 @@ def _find_orbit_along_path(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
             orbit_equations.start_unknown,
             1.0,
             None,
-            tolerance=MAX_LOCATION_RESIDUAL,
+            tolerance=SPECIAL_POINT_TOLERANCE,
             max_iterations=1,
         )
         if guess_orbit_point is not None:
@@ -441,7 +441,7 @@ def _find_orbit_along_motion(search_task: _SearchTask) -> Iterator[PeriodicOrbit
             return
         # A failed search takes about half of its maximum.
         remaining_taylor_pieces -= (
-            MAX_SEARCH_PERIODS
+            MAX_PERIODS_IN_NEWTON_SEARCH
             // 2
             * max(MIN_PIECES_CHARGED_PER_PERIOD, orbit_equations.n_taylor_pieces_in_last_period)
         )

@@ -122,8 +122,8 @@ class ShootingEquations(Equations):
             harmonics=len(flow.modal_load) // 2,
             pairs=flow.n_normal_rows, friction=flow.friction_law is not None,
             base=omega[0], rate=omega[1],
-            turns=2.0 * np.pi * subharmonic, scale=scale, max_pieces=Budget.allowed_pieces,
-            max_intervals=Budget.allowed_event_intervals, **arrays,
+            turns=2.0 * np.pi * subharmonic, scale=scale, max_pieces=Budget.max_taylor_pieces,
+            max_intervals=Budget.max_event_intervals, **arrays,
         )  # fmt: skip
         self._kernel_point_pointer = attach_destructor(
             kernel.new_shooting_point(self._struct.address), kernel.free_shooting_point
@@ -185,10 +185,10 @@ class ShootingEquations(Equations):
         def ensure_evaluated() -> None:
             """Integrate the period again if the kernel has evaluated another point since."""
             if (
-                self._last_linearisation_reference is not weak_point_reference
+                self._weakref_to_last_linearisation is not weak_point_reference
             ):  # there is one for a point
                 self._integrate_period_in_kernel(unknown, parameter)
-                self._last_linearisation_reference = weak_point_reference
+                self._weakref_to_last_linearisation = weak_point_reference
 
         def monodromy() -> np.ndarray:
             """Return the monodromy matrix in the unknowns x, from the kernel."""
@@ -212,7 +212,7 @@ class ShootingEquations(Equations):
             n_events,
             self.n_taylor_pieces_in_last_period,
         )
-        self._last_linearisation_reference = weak_point_reference = weakref.ref(point)
+        self._weakref_to_last_linearisation = weak_point_reference = weakref.ref(point)
         return point
 
 

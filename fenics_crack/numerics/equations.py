@@ -40,7 +40,7 @@ ROUNDING: float = kernel.ROUNDING
 CENTRAL_DIFFERENCE_STEP = float(np.cbrt(MACHINE_EPSILON))
 """Relative step for derivatives by central differences, 6e-6. Truncation and rounding error are
 then about equal."""
-MAX_LOCATION_RESIDUAL = 1e-11
+SPECIAL_POINT_TOLERANCE = 1e-11
 """Maximum relative residual |F| / |x| at a special point of a path. Also the maximum relative last
 Newton step to an exact orbit."""
 ROOT_TOLERANCE = math.sqrt(MACHINE_EPSILON)
@@ -196,7 +196,7 @@ class Equations(ABC):
     shape: tuple[int, ...]
     function_table: Any
     follows_many_points = True
-    _last_linearisation_reference: ReferenceType[Any] | None = None
+    _weakref_to_last_linearisation: ReferenceType[Any] | None = None
     """Weak reference to the linearisation at the kernel's last point; None if unknown."""
 
     @property
@@ -223,7 +223,7 @@ class Equations(ABC):
         outcome code tells success or the kind of failure. The code is not checked here: pass the
         code to :meth:`has_found_solution`.
         """
-        self._last_linearisation_reference = None
+        self._weakref_to_last_linearisation = None
         return int(loop(self.function_table, *arguments))
 
     def has_found_solution(self, outcome: int) -> bool:
@@ -264,14 +264,14 @@ class _PythonEquations(Equations):
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
         self.shape, self._callback_state = shape, _PythonCallbackState(system, shape)
-        self._handle = ffi.new_handle(self._callback_state)
+        self._callback_state_handle = ffi.new_handle(self._callback_state)
         n_unknowns = int(np.prod(shape))
         angle_weights = getattr(system, "angle_weights", None)
         if angle_weights is not None:
             angle_weights = np.ascontiguousarray(np.broadcast_to(angle_weights, shape), dtype=float)
         self._struct = Struct(
             "equations", unknowns=n_unknowns, means=getattr(system, "n_time_means", 0),
-            context=self._handle, angle_weights=angle_weights,
+            context=self._callback_state_handle, angle_weights=angle_weights,
             n_record_entries=getattr(system, "n_record_entries", 0), record=kernel.python_record,
             evaluate=kernel.python_evaluate, residual=kernel.python_residual,
             solve=kernel.python_solve, by_parameter=kernel.python_by_parameter,

@@ -20,15 +20,15 @@ PeriodicFunctions = Callable[[np.ndarray], np.ndarray]
 RecordFunction = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 """Callable from instants (n,), fractions of the period, to m observed displacements (n, m), gaps
 (n, n_rows) [m] and contact forces (n, n_rows) [N]."""
-SAMPLE_OFFSETS = np.linspace(-1.0, 1.0, 9)
+POLYNOMIAL_SAMPLE_OFFSETS = np.linspace(-1.0, 1.0, 9)
 """Nine offsets from a sample, -1 to 1, in units of the samples' spacing."""
 MAX_GRID_REFINEMENTS = 10
 """Maximum number of grid refinements. Each divides the spacing by four: 256 samples per period end
 at 4e-9 periods. The square of 4e-9 is rounding error, for up to 100 harmonics."""
-POLYNOMIAL_EXPONENTS = np.arange(len(SAMPLE_OFFSETS))
+POLYNOMIAL_EXPONENTS = np.arange(len(POLYNOMIAL_SAMPLE_OFFSETS))
 """Exponents 0 to 8 of the polynomial through nine values."""
-COEFFICIENTS_FROM_VALUES = np.linalg.inv(SAMPLE_OFFSETS[:, None] ** POLYNOMIAL_EXPONENTS)
-"""Matrix from nine values at ``SAMPLE_OFFSETS`` to the coefficients of their polynomial."""
+COEFFICIENTS_FROM_VALUES = np.linalg.inv(POLYNOMIAL_SAMPLE_OFFSETS[:, None] ** POLYNOMIAL_EXPONENTS)
+"""Matrix from values at ``POLYNOMIAL_SAMPLE_OFFSETS`` to polynomial coefficients."""
 MAX_POLYNOMIAL_ERROR = 1e-6
 """Maximum error of a maximum predicted by a polynomial, relative to the range of the nine values.
 With a larger error the grid is refined."""
@@ -60,7 +60,7 @@ def find_maximum_values(
         if evaluate_functions is None or not len(period_fractions):
             break
         candidate_peak_indices = np.arange(len(period_fractions))
-        nearby_fractions = period_fractions[:, None] + sample_spacing * SAMPLE_OFFSETS
+        nearby_fractions = period_fractions[:, None] + sample_spacing * POLYNOMIAL_SAMPLE_OFFSETS
         nearby_values = evaluate_functions(nearby_fractions.ravel())
         nearby_values = nearby_values.reshape(*nearby_fractions.shape, -1)[
             candidate_peak_indices, :, function_indices
@@ -73,7 +73,7 @@ def find_maximum_values(
         )
         if refinement_index == 0:
             peak_offsets, peak_estimates = _maximise_polynomial(
-                nearby_values, SAMPLE_OFFSETS[largest_nearby_indices]
+                nearby_values, POLYNOMIAL_SAMPLE_OFFSETS[largest_nearby_indices]
             )
             peak_values = evaluate_functions(period_fractions + sample_spacing * peak_offsets)[
                 candidate_peak_indices, function_indices
@@ -91,7 +91,7 @@ def find_maximum_values(
             candidate_peak_indices, largest_nearby_indices[candidate_peak_indices]
         ]
         function_indices = function_indices[candidate_peak_indices]
-        sample_spacing *= SAMPLE_OFFSETS[1] - SAMPLE_OFFSETS[0]
+        sample_spacing *= POLYNOMIAL_SAMPLE_OFFSETS[1] - POLYNOMIAL_SAMPLE_OFFSETS[0]
     return function_maxima
 
 
@@ -103,7 +103,7 @@ def _maximise_polynomial(
     Parameters
     ----------
     nine_values : (n, 9)
-        Values at the offsets ``SAMPLE_OFFSETS``, equally spaced from -1 to 1.
+        Values at the offsets ``POLYNOMIAL_SAMPLE_OFFSETS``, equally spaced from -1 to 1.
     start_offset_in_half_windows : (n,)
         First guess for the offset of each maximum, from -1 to 1.
 

@@ -421,7 +421,9 @@ def count_time_means(system: System) -> int:
     return int(getattr(system, "n_time_means", 0))
 
 
-def motion_size_squared(oscillation_norm_squared: float, mean_norm_squared: float) -> float:
+def sum_of_squares_with_limited_mean(
+    oscillation_norm_squared: float, mean_norm_squared: float
+) -> float:
     """Return the squared size of a motion from its oscillation and its means over time.
 
     With the oscillation's sum of squares o and the means' sum of squares m, the result is o +
@@ -444,17 +446,17 @@ def motion_size_squared(oscillation_norm_squared: float, mean_norm_squared: floa
     return max(size_squared, 1e-300)
 
 
-def motion_size(motion_samples: np.ndarray) -> float:
+def root_sum_of_squares_with_limited_mean(motion_samples: np.ndarray) -> float:
     """Return the size of k sampled motions (n_instants, k): the root of a sum of squares.
 
     The sum is over all instants and motions. The means' part of the sum is limited to the
-    oscillations' part (:func:`motion_size_squared`).
+    oscillations' part (:func:`sum_of_squares_with_limited_mean`).
     """
     time_mean = motion_samples.sum(axis=0) / len(motion_samples)
     oscillation_samples = motion_samples - time_mean
     mean_norm_squared = len(motion_samples) * float(time_mean @ time_mean)
     return math.sqrt(
-        motion_size_squared(
+        sum_of_squares_with_limited_mean(
             float(np.vdot(oscillation_samples, oscillation_samples)), mean_norm_squared
         )
     )
@@ -463,12 +465,13 @@ def motion_size(motion_samples: np.ndarray) -> float:
 def change_relative_to_motion(change_samples: np.ndarray, motion_samples: np.ndarray) -> float:
     """Return the norm of a change, divided by the size of a motion.
 
-    Both are samples (n_instants, k). In the divisor (:func:`motion_size`) the mean over time is
-    limited to the oscillation: a steady load does not make relative errors small. The result is 0
-    if the motion is zero.
+    Both are samples (n_instants, k). In the divisor (:func:`root_sum_of_squares_with_limited_mean`)
+    the mean over time is limited to the oscillation: a steady load does not make relative errors
+    small. The result is 0 if the motion is zero.
     """
     return (
-        float(np.linalg.norm(change_samples)) / motion_size(motion_samples)
+        float(np.linalg.norm(change_samples))
+        / root_sum_of_squares_with_limited_mean(motion_samples)
         if motion_samples.any()
         else 0.0
     )
@@ -496,7 +499,7 @@ def norm_weights_of_unknowns_and_means(system: System, unknown: np.ndarray) -> t
     oscillation_norm_squared = max(
         total_norm_squared - mean_norm_squared, MACHINE_EPSILON**0.5 * total_norm_squared
     )
-    size_squared = motion_size_squared(oscillation_norm_squared, mean_norm_squared)
+    size_squared = sum_of_squares_with_limited_mean(oscillation_norm_squared, mean_norm_squared)
     time_mean_weight = (
         0.5 * size_squared / mean_norm_squared if 2.0 * mean_norm_squared > size_squared else 1.0
     )

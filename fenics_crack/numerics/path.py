@@ -46,8 +46,8 @@ from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, kernel, pointer
 from fenics_crack.numerics.equations import (
     MACHINE_EPSILON,
-    MAX_LOCATION_RESIDUAL,
     ROUNDING,
+    SPECIAL_POINT_TOLERANCE,
     Linearisation,
     System,
     equations_of,
@@ -95,7 +95,7 @@ class PathOptions:
     """Minimum cosine of the angle between neighbouring tangents. Below, the step is halved."""
     rounding: float = ROUNDING
     """Rounding error of the relative residual |F| / |x|, for a system without ``rounding``."""
-    points_per_call: int = 64
+    max_path_points_per_call: int = 64
     """Maximum points per kernel call."""
     parameter_range: tuple[float, float] = (-np.inf, np.inf)
     """Smallest and largest parameter. The path ends before a point outside."""
@@ -671,7 +671,7 @@ class Path:
             step_control,
         )
         self._max_step = options.max_step
-        max_points_per_call = options.points_per_call
+        max_points_per_call = options.max_path_points_per_call
         self._points_per_call = (
             max_points_per_call
             if step_control is None
@@ -755,7 +755,7 @@ class Path:
         ):
             step_ends = segment[step_index_in_segment], segment[step_index_in_segment + 1]
             event_location_tolerance = max(
-                MAX_LOCATION_RESIDUAL, self._relative_residual_rounding_at(step_ends[1])
+                SPECIAL_POINT_TOLERANCE, self._relative_residual_rounding_at(step_ends[1])
             )
             segment_part = segment[part_start_point_index : step_index_in_segment + 2]
             for event, event_may_occur in zip(
@@ -877,7 +877,7 @@ class Path:
             self._max_step = min(2.0 * self._max_step, self._options.max_step)
             if self._max_step == self._options.max_step:
                 self._points_per_call = min(
-                    2 * self._points_per_call, self._options.points_per_call
+                    2 * self._points_per_call, self._options.max_path_points_per_call
                 )
             return segment[n_known_points - 1 :]
         last_accepted_index = n_known_points - 1 + int(rejected_step_indices[0])
@@ -886,7 +886,9 @@ class Path:
         self._next_step_length = self._max_step = 0.5 * float(
             new_step_lengths[rejected_step_indices[0]]
         )
-        self._points_per_call = min(POINTS_PER_CALL_AFTER_HALVING, self._options.points_per_call)
+        self._points_per_call = min(
+            POINTS_PER_CALL_AFTER_HALVING, self._options.max_path_points_per_call
+        )
         return (
             segment[n_known_points - 1 : last_accepted_index + 1]
             if last_accepted_index >= n_known_points

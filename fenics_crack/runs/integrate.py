@@ -75,7 +75,7 @@ def integrate(
     earlier_motion_file = (
         None
         if integration_table.initial is None
-        else _read_initial_motion_file(integration_table.initial, comm)
+        else _open_initial_motion_file(integration_table.initial, comm)
     )
     omega = scene.excitation.omega
     study = with_fixed_slip_directions(prepare(scene, comm), omega)
@@ -153,7 +153,7 @@ def _march_function_and_steps(
     return integrate_central_difference, steps_per_period
 
 
-def _read_initial_motion_file(path: str, comm: MPI.Comm) -> StoredFile:
+def _open_initial_motion_file(path: str, comm: MPI.Comm) -> StoredFile:
     """Read the result file that ``integration.initial`` names (collective).
 
     Raises InputError unless the file holds a periodic solution or a motion in time.

@@ -110,5 +110,5 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     check_run_has_motion(run)
     refuse_for_reason(reason_without_clamp_forces(run.scene), "run", repr(run))
     structure = run.result.structure
-    [record] = run.result.yield_records_of_row_products(structure.compute_once(clamp_inertia_rows))
+    [record] = run.result.yield_motion_records(structure.compute_once(clamp_inertia_rows))
     return Reaction(record.time, structure.whole.clamp.center, *compute_clamp_reactions(record))

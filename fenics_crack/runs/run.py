@@ -41,6 +41,7 @@ class ResultAttribute:
 
 
 @keep_old_attribute_names(
+    yield_records_of_row_products="yield_motion_records",
     distance="distance_to_steady_motion",
     resolution="max_missed_window_width",
     slow_gap_coefficients="gap_series_without_static_part",
@@ -279,7 +280,7 @@ class Run(StudyWithResult, Generic[ResultType]):
     values = ResultAttribute()
     verdicts = ResultAttribute()
     with_status = ResultAttribute()
-    yield_records_of_row_products = ResultAttribute()
+    yield_motion_records = ResultAttribute()
 
 
 def check_run_has_motion(run: object) -> None:

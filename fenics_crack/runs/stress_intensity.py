@@ -231,7 +231,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     check_run_has_motion(run)
     refuse_for_reason(reason_without_stress_intensity(run.scene), "run", repr(run))
     tips, K_rows_of_displacement, K_rows_of_contact_forces = make_tips_and_intensity_rows(run)
-    [record] = run.result.yield_records_of_row_products(K_rows_of_displacement)
+    [record] = run.result.yield_motion_records(K_rows_of_displacement)
     tip_histories = compute_crack_tip_histories(
         record, tips, K_rows_of_contact_forces, run.scene.growth
     )

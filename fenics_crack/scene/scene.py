@@ -66,7 +66,7 @@ MANY_SOLUTION_TABLE_NAMES = ("curve", "sweep", "growth", "identify")
     all_cracks="crack_by_name",
     at_rest="without_rotation",
     axis="axis_point_and_direction",
-    damped_modes="n_damped_modes",
+    damped_modes="n_damped_modes_or_all",
     has_element_lengths="has_graded_lengths",
     in_hertz="is_frequency_in_hertz",
     in_rpm="is_speed_in_rpm",
@@ -325,7 +325,7 @@ class Scene(SceneTables):
         return "reduction.modes" if self.disk is None else "disk.families"
 
     @property
-    def n_damped_modes(self) -> int | str:
+    def n_damped_modes_or_all(self) -> int | str:
         """Number of damped modes; "all" for every mode and for a damping matrix."""
         return "all" if self.damping is None else self.damping.modes
 

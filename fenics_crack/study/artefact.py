@@ -38,8 +38,8 @@ from fenics_crack.model.matrices import AbsentMatrix
 from fenics_crack.model.nodes import ClampReactionData, Nodes, Pairs
 from fenics_crack.model.receptance import (
     Receptance,
-    make_empty_receptance_list,
-    make_empty_shared_receptance_list,
+    make_receptance_cache,
+    make_shared_receptance_cache,
     modal_and_static_displacement_rows,
     pair_and_load_force_matrix,
     receptance,
@@ -134,8 +134,8 @@ class PreparedStructure:
         ``tangential_gap_matrix`` of a solid's pairs (:class:`Pairs`): tangential gaps in two
         directions. The field ``pairs`` leaves it out.
     shares : GatheredCsrMatrix or None
-        ``pressure_matrix`` of a solid's pairs (:class:`Pairs`): distribution of each contact force
-        over nodes. The field ``pairs`` leaves it out.
+        ``pressure_functions_at_nodes`` of a solid's pairs (:class:`Pairs`): distribution of each
+        contact force over nodes. The field ``pairs`` leaves it out.
     force, clearance, watched, nodes, pairs, clamp
         As in :class:`Structure`.
     receptances : tuple of Receptance
@@ -194,21 +194,21 @@ class PreparedStructure:
             gap=GatheredCsrMatrix.gather(structure.gap, comm),
             tangential=GatheredCsrMatrix.gather(structure.tangential, comm),
             tangents=GatheredCsrMatrix.gather(pairs.tangential_gap_matrix, comm),
-            shares=GatheredCsrMatrix.gather(pairs.pressure_matrix, MPI.COMM_SELF),
+            shares=GatheredCsrMatrix.gather(pairs.pressure_functions_at_nodes, MPI.COMM_SELF),
             force=gather_rows(comm, structure.force.T).T, clearance=structure.clearance,
             watched=None if watched_row is None else gather_rows(comm, watched_row),
             nodes=nodes and replace(
-                nodes, mesh_dofs=None, vtk_type=vtk_type,
+                nodes, dolfinx_mesh_and_dofs=None, vtk_type=vtk_type,
                 **{name: gather_rows(comm, getattr(nodes, name))
                    for name in NODE_FIELDS_SPREAD_OVER_RANKS},
             ),
-            pairs=replace(pairs, pressure_matrix=None, tangential_gap_matrix=None),
+            pairs=replace(pairs, pressure_functions_at_nodes=None, tangential_gap_matrix=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
             receptances=tuple(
                 replace(stored_receptance, force=np.zeros(0))
                 for structure_or_with_tangents in structure_and_with_tangents
                 for stored_receptance in structure_or_with_tangents.compute_once(
-                    make_empty_receptance_list)
+                    make_receptance_cache)
             ),
             **datasets,
         )  # fmt: skip
@@ -249,7 +249,7 @@ class PreparedStructure:
         nodes, watched_row, clamp, pairs = self.nodes, self.watched, self.clamp, self.pairs
         pairs = replace(
             pairs, tangential_gap_matrix=local_matrix(self.tangents, 2 * n_pairs),
-            pressure_matrix=self.shares
+            pressure_functions_at_nodes=self.shares
             and self.shares.to_matrix(len(np.atleast_1d(pairs.nodes)), n_pairs),
         )  # fmt: skip
         structure = Structure(Body(
@@ -277,11 +277,9 @@ class PreparedStructure:
                 == n_pair_and_load_forces
             )
             receptance_with_load = replace(stored_receptance, force=structure_of_receptance.force)
-            structure_of_receptance.compute_once(make_empty_receptance_list)[:] = [
-                receptance_with_load
-            ]
+            structure_of_receptance.compute_once(make_receptance_cache)[:] = [receptance_with_load]
             receptances_shared_by_all_loads = structure.compute_once(
-                make_empty_shared_receptance_list, from_matrices=True
+                make_shared_receptance_cache, from_matrices=True
             )
             receptances_shared_by_all_loads[:] = [receptance_with_load]
         if not np.array_equal(load_weight_matrix, np.eye(len(structure.force))):
@@ -437,7 +435,7 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
             "a table",
             "left out for a prepared structure, which is at rest; solve the scene itself",
         )
-    if structure.pairs.pressure_matrix is not None:
+    if structure.pairs.pressure_functions_at_nodes is not None:
         raise InputError(
             "geometry.kind",
             "solid",
@@ -545,12 +543,12 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
         )
 
     if needs_mesh(scene):
-        for changed_key, value_of_key in changes.items():
+        for changed_key, changed_value in changes.items():
             with suppress(InputError):  # keys that cannot change without another key
-                if needs_mesh(file_scene.replace({changed_key: value_of_key})):
+                if needs_mesh(file_scene.replace({changed_key: changed_value})):
                     break
         raise InputError(
-            changed_key, value_of_key, f"as in {stored_file.path}: {CHANGEABLE_KEYS_TEXT}"
+            changed_key, changed_value, f"as in {stored_file.path}: {CHANGEABLE_KEYS_TEXT}"
         )
     quantities_that_need_matrices = [
         quantity_name

@@ -429,7 +429,7 @@ def _collect_intensities_by_front(
         Largest abs(K_I) set to zero at closed fronts, over all stations (:class:`CrackTipHistory`).
     """
     stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
-    [record] = motion.yield_records_of_row_products(displacement_rows)
+    [record] = motion.yield_motion_records(displacement_rows)
     tip_histories = compute_crack_tip_histories(record, stations, force_rows, study.scene.growth)
     arc_lengths = np.array([station.arc_length for station in stations])
     values_by_name = tabulate_stress_intensity_values(tip_histories)

@@ -287,7 +287,7 @@ def _relative_distance_and_node_text(
 
         force_fractions = nodal_force_fractions(
             scene,
-            structure.nodes.mesh_dofs,
+            structure.nodes.dolfinx_mesh_and_dofs,
             "excitation.point",
             load_point,  # type: ignore[arg-type]
         )
@@ -562,7 +562,7 @@ def _peak_rotation_and_displacement(
     )
 
 
-def _n_face_elements_or_none(
+def _n_face_elements_if_remark_helps(
     _: object, scene: Scene, key_figures: PreSolutionKeyFigures
 ) -> int | None:
     """Return the smallest number of elements along a crack face, or None.
@@ -801,7 +801,7 @@ KEY_FIGURE_REMARK_RULES = (
         4,
         math.inf,
         "elements or patches are longer than a quarter of the crack; use 4 to 20 along each face",
-        _n_face_elements_or_none,
+        _n_face_elements_if_remark_helps,
     ),
     RemarkRule(
         CONTACT_STIFFNESS_KEYS_TEXT,

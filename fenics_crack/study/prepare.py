@@ -314,7 +314,7 @@ def modal_reduction_or_none(scene: Scene, structure: Structure) -> ModalReductio
         reduction_table = Reduction("free_interface" if is_small else None)
     if reduction_table.method == "off":
         return None
-    n_kept_modes = reduction_table.modes or scene.n_damped_modes
+    n_kept_modes = reduction_table.modes or scene.n_damped_modes_or_all
     if isinstance(n_kept_modes, str):  # "all"
         n_kept_modes = min(DEFAULT_MODES_OF_LARGE_STRUCTURE, structure.n_dofs)
     has_massless_faces = structure.n_pairs > 0 and n_kept_modes < structure.n_dofs

@@ -22,7 +22,7 @@ from functools import partial
 import numpy as np
 
 from fenics_crack.balance.problem import Problem
-from fenics_crack.basics.causes import OPTIONAL_ERROR_CAUSES, REQUIRED_ERROR_CAUSES
+from fenics_crack.basics.causes import OMITTABLE_ERROR_CAUSES, REQUIRED_ERROR_CAUSES
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     RAD_PER_TURN,
@@ -94,7 +94,7 @@ class ResonanceUnderLoad:
         """
         known_error_by_cause = {"harmonics": self.error, "mesh": self.amplitude_mesh_error}
         error_by_cause = (
-            dict.fromkeys((*REQUIRED_ERROR_CAUSES, *OPTIONAL_ERROR_CAUSES), math.nan)
+            dict.fromkeys((*REQUIRED_ERROR_CAUSES, *OMITTABLE_ERROR_CAUSES), math.nan)
             | known_error_by_cause
         )
         missing_causes = [

@@ -164,7 +164,7 @@ def _can_reuse(
         True if loads, clearances and damping must be the same, too. This is needed with rotation, a
         disk or given matrices.
     """
-    has_mesh = getattr(shared_structure.structure.nodes, "mesh_dofs", None) is not None
+    has_mesh = getattr(shared_structure.structure.nodes, "dolfinx_mesh_and_dofs", None) is not None
     has_same_ranks = MPI.Comm.Compare(shared_structure.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
     has_usable_matrices = (
         has_mesh

@@ -17,13 +17,13 @@ from fenics_crack.balance.harmonic_balance import (
     solve_to_tolerance,
 )
 from fenics_crack.balance.problem import Problem, check_memory
-from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.balance.solution import HarmonicBalanceSolver, PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.receptance import make_empty_receptance_list, receptance
+from fenics_crack.model.receptance import make_receptance_cache, receptance
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY
 from fenics_crack.scene.keys import missing_table_error
@@ -160,7 +160,7 @@ def _solve_to_tolerance(unreduced_study: Study) -> tuple[Study, PeriodicSolution
         unreduced_study.structure, scene.excitation.omega, law, scene.harmonic_balance.harmonics
     )
     solution = solve_to_tolerance(
-        Solver(problem, throw=False),
+        HarmonicBalanceSolver(problem, throw=False),
         scene.harmonic_balance.given("tolerance"),
         structures=iterate_structures(),
         modes_key=scene.modes_key,
@@ -204,7 +204,7 @@ def candidate_mode_counts(study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
     is_large = reduction.method == "massless" and (is_from_file or not is_small(structure))
     if is_from_file:  # the file has twice as many modes: those of the reference
         max_modes = min(
-            max_modes, len(structure.compute_once(make_empty_receptance_list)[0].squares) // 2
+            max_modes, len(structure.compute_once(make_receptance_cache)[0].squares) // 2
         )
     return mode_counts_to_try(
         structure, FIRST_MODE_COUNT if is_large else reduction.n_modes, max_modes

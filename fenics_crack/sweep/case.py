@@ -700,10 +700,10 @@ def _find_load_direction_row_by_name(
     force.
     """
     force_norms_of_fourier_parts = np.linalg.norm(list_mean_cos_and_sin_force_vectors(case), axis=1)
-    fourier_part_index = (
+    mean_cos_or_sin_index = (
         len(force_norms_of_fourier_parts) - 1 - int(np.argmax(force_norms_of_fourier_parts[:0:-1]))
         if np.any(force_norms_of_fourier_parts[1:])
         else 0
     )
-    force_norm = force_norms_of_fourier_parts[fourier_part_index]
-    return {"": solution.structure.force[fourier_part_index] / force_norm} if force_norm else {}
+    force_norm = force_norms_of_fourier_parts[mean_cos_or_sin_index]
+    return {"": solution.structure.force[mean_cos_or_sin_index] / force_norm} if force_norm else {}

@@ -79,7 +79,7 @@ def column_name_at_load(quantity: str) -> str:
     return "response" if quantity == "amplitude" else quantity
 
 
-STORED_MODE_NUMBERS = range(1, N_NATURAL_MODES_PER_CRACK_STATE + 1)
+STORED_MODE_NUMBER_RANGE = range(1, N_NATURAL_MODES_PER_CRACK_STATE + 1)
 """Numbers of the modes, 1 to 6, whose natural frequencies are stored for each case."""
 LABEL_AND_UNIT_BY_FREQUENCY_COLUMN = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
@@ -88,7 +88,7 @@ LABEL_AND_UNIT_BY_FREQUENCY_COLUMN = {
         ("tied", "natural frequency {}, crack bonded"),
         ("bilinear", "bilinear frequency of open mode {}"),
     )
-    for mode in STORED_MODE_NUMBERS
+    for mode in STORED_MODE_NUMBER_RANGE
 }
 """Label and unit of the columns with natural frequencies, by column name ("omega_open_1")."""
 UNIT_BY_OUTPUT_POINT_QUANTITY = {

@@ -285,7 +285,7 @@ class Manager:
         # The longest jobs first: the last ones are what ranks wait for.
         ordered_geometry_numbers = sorted(
             chunk_case_numbers_by_geometry,
-            key=plan.pair_count_bounds_and_crack_lengths.__getitem__,
+            key=plan.max_pair_counts_and_first_crack_lengths.__getitem__,
             reverse=True,
         )
         self._remaining_case_numbers_by_geometry = {

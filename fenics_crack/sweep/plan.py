@@ -186,11 +186,11 @@ class Plan:
         the tangential gap.
         """
         return self._n_gap_rows_per_pair * max(
-            n_pairs for n_pairs, _ in self.pair_count_bounds_and_crack_lengths
+            n_pairs for n_pairs, _ in self.max_pair_counts_and_first_crack_lengths
         )
 
     @cached_property
-    def pair_count_bounds_and_crack_lengths(self) -> list[tuple[int, float]]:
+    def max_pair_counts_and_first_crack_lengths(self) -> list[tuple[int, float]]:
         """Upper bound for contact pairs, and first crack's length [m], for each geometry.
 
         Used to solve the largest structures first. A geometry is a structure shared by several

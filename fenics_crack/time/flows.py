@@ -363,7 +363,7 @@ class ExponentialFlow(ModalFlow):
         n_requested_steps = periods * self.steps_per_period
         state, sticking_places = np.split(require_shape(state, self.state_size), [n_modal_states])
         modal_states = np.empty((n_requested_steps + 1, n_modal_states))
-        contact_forces = np.empty((n_requested_steps + 1, len(self.softness)))
+        contact_forces = np.empty((n_requested_steps + 1, len(self.contact_spring_compliance)))
         pair_states = np.empty((n_requested_steps + 1, n_pairs), dtype=np.int8)
         modal_states[0] = state
         initial_gap = (
@@ -448,7 +448,9 @@ class ExponentialMotion:
         if not flow.friction_law:
             return 0.0
         friction_force = self.contact_forces_at_instants[:, n_pairs:]
-        sticking_places = self.gaps[:, n_pairs:] - flow.softness[n_pairs:] * friction_force
+        sticking_places = (
+            self.gaps[:, n_pairs:] - flow.contact_spring_compliance[n_pairs:] * friction_force
+        )
         return float(
             np.sum(
                 0.5 * (friction_force[1:] + friction_force[:-1]) * np.diff(sticking_places, axis=0)
@@ -524,7 +526,8 @@ class _ExponentialScheme(Scheme):
         )
         modal_velocity = exponential_motion.states[instant_index, len(flow.modal_model.squares) :]
         doubled_spring_energy = np.sum(
-            flow.softness * exponential_motion.contact_forces_at_instants[instant_index] ** 2
+            flow.contact_spring_compliance
+            * exponential_motion.contact_forces_at_instants[instant_index] ** 2
         )
         return 0.5 * float(
             doubled_elastic_energy + modal_velocity @ modal_velocity + doubled_spring_energy

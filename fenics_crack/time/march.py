@@ -48,7 +48,7 @@ from fenics_crack.numerics.fourier import (
     fourier_basis_for,
     fourier_coefficients,
 )
-from fenics_crack.numerics.newton import motion_size
+from fenics_crack.numerics.newton import root_sum_of_squares_with_limited_mean
 
 ALLOWED_RECORD_BYTES = 2**31
 """Maximum size of a recorded history on one rank [bytes]: 2 GiB. Larger requests are refused."""
@@ -223,7 +223,9 @@ class MarchRequest:
         return is_rigid(self.contact)
 
 
-@keep_old_attribute_names(distance="distance_to_steady_motion")
+@keep_old_attribute_names(
+    yield_records_of_row_products="yield_motion_records", distance="distance_to_steady_motion"
+)
 @dataclass(frozen=True, repr=False)
 class TimeHistory(ObservedMotion, Tabular):
     """Result of a direct time integration: the last load periods of the motion.
@@ -419,7 +421,7 @@ class TimeHistory(ObservedMotion, Tabular):
             self.recorded @ (selection_matrix / recording_rank_counts)
         )
 
-    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[MotionRecord]:
+    def yield_motion_records(self, rows: np.ndarray) -> Iterator[MotionRecord]:
         """Yield a single :class:`MotionRecord`: displacements, gaps and forces (collective).
 
         An observed displacement is a row in ``rows`` (m, n_local) times the displacement
@@ -642,7 +644,9 @@ def _moving_part_sizes(period_arrays: Sequence[np.ndarray]) -> list[float]:
     An array with a size below 1e-12 times the largest size gets inf: the changes do not count. An
     example: gaps between rigid crack faces in permanent contact.
     """
-    motion_sizes = [motion_size(period_array) for period_array in period_arrays]
+    motion_sizes = [
+        root_sum_of_squares_with_limited_mean(period_array) for period_array in period_arrays
+    ]
     return [
         size if size > STIFFNESS_SOLUTION_ROUNDING * max(motion_sizes) else math.inf
         for size in motion_sizes

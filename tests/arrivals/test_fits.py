@@ -124,18 +124,20 @@ def test_a_breathing_crack_has_a_second_harmonic(
     options: dict[str, Any] = {"order": 6, "probes": EIGHT, "revolutions": 200}
     arrivals = simulate_arrivals(breathing_solution, 0.01 * true_amplitudes[0], **options)
     fit = fc.fit_order(arrivals, range(1, 13), harmonics=3)
-    value, error = fit.ratio()
+    value, error = fit.ratio_and_error()
     assert fit.order == 6 and not fit.ambiguous_orders
     folded_ratio = true_amplitudes[3] / true_amplitudes[0]  # the fourth harmonic, onto those kept
     assert (
         abs(value - true_amplitudes[1] / true_amplitudes[0]) < 3.0 * error + folded_ratio
         and value > 30.0 * error
     )
-    assert fit.ratio(3)[0] == pytest.approx(
+    assert fit.ratio_and_error(3)[0] == pytest.approx(
         true_amplitudes[2] / true_amplitudes[0], abs=3.0 * error + folded_ratio
     )
-    catch_error(lambda: fit.ratio(4), "multiple", 4)
-    value, error = fc.fit_order(simulate_arrivals(sine, **options), [6], harmonics=3).ratio()
+    catch_error(lambda: fit.ratio_and_error(4), "multiple", 4)
+    value, error = fc.fit_order(
+        simulate_arrivals(sine, **options), [6], harmonics=3
+    ).ratio_and_error()
     assert value < 4.0 * error < 0.01
     # Without its second harmonic the fit is known not to fit, and its errors hold what is folded.
     one_harmonic_fit = fc.fit_order(arrivals, [6], harmonics=1)
@@ -158,7 +160,9 @@ def test_twice_the_loads_period() -> None:
     assert fit.order == 3 and not fit.ambiguous_orders
     assert np.allclose(fit.multiples, [0.5, 1.0, 1.5, 2.0])
     assert np.abs(fit.coefficients - wave[:9]).max() < 0.02 * np.abs(wave).max()
-    assert fit.ratio(0.5)[0] == pytest.approx(amplitudes(wave)[0] / amplitudes(wave)[1], rel=0.02)
+    assert fit.ratio_and_error(0.5)[0] == pytest.approx(
+        amplitudes(wave)[0] / amplitudes(wave)[1], rel=0.02
+    )
     # Where that is not known, what repeats in two revolutions follows no order.
     half_order_fit = fc.fit_order(arrivals, [3], harmonics=2).asynchronous[0]
     assert half_order_fit.omega == pytest.approx(0.5 * orbit.omega, rel=1e-4)
@@ -383,7 +387,9 @@ def test_scan_finds_harmonics_too(breathing_solution: fc.PeriodicSolution) -> No
     fit = fc.fit_frequency(arrivals, 700.0, 1500.0, harmonics=3)
     assert fit.omega == pytest.approx(1000.0, rel=1e-5)
     assert (
-        abs(fit.ratio()[0] - true_amplitudes[1] / true_amplitudes[0]) < 4.0 * fit.ratio()[1] < 0.02
+        abs(fit.ratio_and_error()[0] - true_amplitudes[1] / true_amplitudes[0])
+        < 4.0 * fit.ratio_and_error()[1]
+        < 0.02
     )
 
 

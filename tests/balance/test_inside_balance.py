@@ -1186,7 +1186,7 @@ class Given(ObservedMotion):
         values |= {"row_products": np.array([[11.0], [-11.0]]), "gaps": nothing, "forces": nothing}
         self._record = MotionRecord(**values | {"structure": self.structure} | given)
 
-    def yield_records_of_row_products(self, rows: np.ndarray) -> Any:
+    def yield_motion_records(self, rows: np.ndarray) -> Any:
         yield self._record
 
 

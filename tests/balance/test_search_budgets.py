@@ -89,7 +89,7 @@ def test_orbits_that_lie_dense(paper_scene: fc.Scene, monkeypatch: pytest.Monkey
     scene = paper_scene.replace({"harmonic_balance.harmonics": 20})
     verdicts = []
     for flows in (20, 80):
-        monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PERIODS", flows)
+        monkeypatch.setattr("fenics_crack.motion.orbit.MAX_PERIODS_IN_NEWTON_SEARCH", flows)
         for omega in (2142.857, 2142.857143):
             solution = fc.solve(scene.replace({"excitation.omega": omega})).result
             if flows == 20:

@@ -39,7 +39,7 @@ from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.branch import find_branch_start_point
 from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.orbit_events import (
-    MIN_REJECTABLE_STEP_RATIO,
+    MIN_REJECTABLE_TO_LONGEST_STEP,
     MultiplierStepControl,
     changes_of_multiplier_counts,
     leading_multipliers_and_counts,
@@ -507,13 +507,13 @@ def test_what_counts_as_a_change(before: Any, after: Any, expected: tuple[int, .
         ((-0.5, -0.1, 0.3), (0.0, 1.0, 1.0), (True, True)),  # more than half of its distance
         (
             (-0.5, -0.5, -0.52),
-            (0.0, MIN_REJECTABLE_STEP_RATIO / 2, MIN_REJECTABLE_STEP_RATIO / 2),
+            (0.0, MIN_REJECTABLE_TO_LONGEST_STEP / 2, MIN_REJECTABLE_TO_LONGEST_STEP / 2),
             (False, False),
         ),
         # Not below the shortest step.
         (
             (-0.5, -0.1, 0.3),
-            (0.0, MIN_REJECTABLE_STEP_RATIO / 2, MIN_REJECTABLE_STEP_RATIO / 2),
+            (0.0, MIN_REJECTABLE_TO_LONGEST_STEP / 2, MIN_REJECTABLE_TO_LONGEST_STEP / 2),
             (False, False),
         ),
         ((-0.06, -0.08, -0.06), (0.0, 1.0, 1.0), (False, True)),  # not as it came

@@ -13,7 +13,7 @@ from wheels import COARSE, RING, ring
 import fenics_crack as fc
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import Solver
+from fenics_crack.balance.solution import HarmonicBalanceSolver
 from fenics_crack.errors.stated import estimate_solution_errors
 from fenics_crack.model.contact import UnilateralConstraint
 
@@ -95,7 +95,7 @@ def test_rayleigh_damping(monkeypatch: pytest.MonkeyPatch, length: float) -> Non
         with monkeypatch.context() as patch:
             patch.setattr(ModalCompliance, "_pair_compliance", damped)
             problem = Problem(study.structure, peak.omega, RIGID, 20)
-            true_solution = Solver(problem).solve(peak)
+            true_solution = HarmonicBalanceSolver(problem).solve(peak)
         peak_amplitude = peak.amplitude(tip)
         amplitude_error = float(peak_amplitude / true_solution.amplitude(tip) - 1.0)
         part = report.contributions("amplitude")["modes"] / peak_amplitude

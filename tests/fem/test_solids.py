@@ -373,10 +373,10 @@ def test_cases_of_a_sweep_are_known_without_a_mesh(monkeypatch: pytest.MonkeyPat
         )
     assert (
         plan.n_gap_rows_upper_bound
-        == max(bound for bound, _ in plan.pair_count_bounds_and_crack_lengths)
+        == max(bound for bound, _ in plan.max_pair_counts_and_first_crack_lengths)
         > 0
     )
-    assert plan.pair_count_bounds_and_crack_lengths[2] == (0, 0.0)
+    assert plan.max_pair_counts_and_first_crack_lengths[2] == (0, 0.0)
 
 
 @pytest.mark.nightly

@@ -21,7 +21,7 @@ from mpi4py import MPI
 import fenics_crack as fc
 from fenics_crack import MasslessStructure
 from fenics_crack.model.matrices import AbsentMatrix
-from fenics_crack.model.receptance import Receptance, make_empty_shared_receptance_list, receptance
+from fenics_crack.model.receptance import Receptance, make_shared_receptance_cache, receptance
 
 
 def reduced(structure: fc.Structure, modes: int) -> MasslessStructure:
@@ -425,7 +425,7 @@ def test_from_arrays_alone() -> None:
         for name in ("squares", "modal", "compliance", "rows", "inertia")
     }
     bare_chain = chain("modal", 30)
-    receptances = bare_chain.compute_once(make_empty_shared_receptance_list, from_matrices=True)
+    receptances = bare_chain.compute_once(make_shared_receptance_cache, from_matrices=True)
     receptances[:] = [Receptance(**parts, force=bare_chain.force)]
     object.__setattr__(bare_chain.body, "stiffness", AbsentMatrix(bare_chain.n_dofs, 0))
     array_model = reduced(bare_chain, 6)

@@ -351,9 +351,9 @@ def test_budget() -> None:
     """A motion that takes more is given up at once."""
     flow = known(chain(), fc.UnilateralPenalty(50.0))
     for duration, budget, names, kind in (
-        (1e3, Budget(allowed_event_intervals=20), "after 20 events", fc.ConvergenceError),
-        (1e3, Budget(allowed_pieces=20), "too fast", BudgetError),
-        (1e300, Budget(allowed_event_intervals=20), "too fast", BudgetError),
+        (1e3, Budget(max_event_intervals=20), "after 20 events", fc.ConvergenceError),
+        (1e3, Budget(max_taylor_pieces=20), "too fast", BudgetError),
+        (1e300, Budget(max_event_intervals=20), "too fast", BudgetError),
     ):
         catch_error(
             partial(flow.advance, thrown(flow), 0.8, duration, budget=budget),

@@ -159,7 +159,10 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
     assert product == pytest.approx(
         wave_forces.force_change(change), abs=1e-12 * np.abs(difference).max()
     )
-    ends = [replace(integrals, friction_scale=1.0 + sign * step).force(gap) for sign in (1.0, -1.0)]
+    ends = [
+        replace(integrals, friction_coefficient_factor=1.0 + sign * step).force(gap)
+        for sign in (1.0, -1.0)
+    ]
     difference = (ends[0] - ends[1]) / (2.0 * step)
     assert wave_forces.friction_scale_derivative() == pytest.approx(
         difference, abs=1e-6 * np.abs(difference).max()

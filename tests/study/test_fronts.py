@@ -50,7 +50,7 @@ def test_patches(elements: int, limit: float) -> None:
     stations, rows, of_forces = make_tips_and_intensity_rows(study)
     radius = DEEP / elements  # about the domain's
     offsets = structure.nodes.points - np.array([0.015, 0.03, 0.006])
-    restrict_to_free = structure.nodes.mesh_dofs.restrict_to_free
+    restrict_to_free = structure.nodes.dolfinx_mesh_and_dofs.restrict_to_free
     for axis in np.eye(3):
         rotation_stress = rows @ restrict_to_free(np.cross(axis, offsets).ravel())
         assert np.abs(rotation_stress).max() < 0.015 * YOUNG * np.sqrt(radius)
@@ -94,7 +94,7 @@ def test_patches_of_a_straight_front() -> None:
     assert structure.nodes is not None and len(stations) == 3
     offsets, restrict_to_free = (
         structure.nodes.points - [0.015, 0.03, 0.003],
-        structure.nodes.mesh_dofs.restrict_to_free,
+        structure.nodes.dolfinx_mesh_and_dofs.restrict_to_free,
     )
     growth_direction, size = stations[0].growth_direction, np.sqrt(1.5e-3)
     pressed = of_forces[::3] @ structure.pair_areas

@@ -21,7 +21,7 @@ from petsc4py import PETSc
 from test_verify import plate
 
 import fenics_crack as fc
-from fenics_crack.balance.solution import Solver
+from fenics_crack.balance.solution import HarmonicBalanceSolver
 from fenics_crack.errors.numbers import compute_numbers
 from fenics_crack.fem import blocks
 from fenics_crack.fem.interaction_integral import Tip
@@ -443,9 +443,9 @@ def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     law = {"contact.law": "smoothed", "contact.sharpness": 1e8}
     scene = plate(law | {"harmonic_balance.samples": 64})
 
-    solve_function = Solver.solve
+    solve_function = HarmonicBalanceSolver.solve
 
-    def failing(solver: Solver, *how: Any, **more: Any) -> fc.PeriodicSolution:
+    def failing(solver: HarmonicBalanceSolver, *how: Any, **more: Any) -> fc.PeriodicSolution:
         solution = solve_function(solver, *how, **more)
         if solution.harmonics in bad:
             return replace(solution, converged=False, status="lost")
@@ -453,7 +453,7 @@ def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
             raise fc.InputError("reduction.modes", 24, "less")
         return solution
 
-    monkeypatch.setattr(Solver, "solve", failing)
+    monkeypatch.setattr(HarmonicBalanceSolver, "solve", failing)
     bad.add(10)
     verification = fc.verify(scene)
     assert verification.failures == (

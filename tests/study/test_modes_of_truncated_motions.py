@@ -12,7 +12,7 @@ from reference_flow import size_of_motion
 
 import fenics_crack as fc
 from fenics_crack.balance.more_modes import MoreModesComparison
-from fenics_crack.balance.solution import Solver
+from fenics_crack.balance.solution import HarmonicBalanceSolver
 from fenics_crack.errors.stated import estimate_solution_errors
 
 KEYS = {
@@ -80,8 +80,8 @@ def test_modes_without_any_orbit(
 ) -> None:
     """Their error is at least the one by harmonics, of the gap as of each number; that the search
     has ended by its budget is said."""
-    monkeypatch.setattr("fenics_crack.motion.orbit.MAX_ORBIT_SEARCH_TAYLOR_PIECES", 10)
-    monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PERIODS", 0.1)
+    monkeypatch.setattr("fenics_crack.motion.orbit.MAX_TAYLOR_PIECES_PER_ORBIT_SEARCH", 10)
+    monkeypatch.setattr("fenics_crack.motion.orbit.MAX_PERIODS_IN_NEWTON_SEARCH", 0.1)
     solution = solved(study, 10)
     assert solution.assessment.nearest_orbit is None
     expected_text = "an exact orbit ended at its limit of"
@@ -129,15 +129,15 @@ def test_modes_where_no_solution_converges(
         )
         return solution.report.reduction
 
-    true_part, attempt = reduction(), Solver.search_and_solution
+    true_part, attempt = reduction(), HarmonicBalanceSolver.search_and_solution
 
-    def fail(self: Solver, *starts: Any, **options: Any) -> Any:
+    def fail(self: HarmonicBalanceSolver, *starts: Any, **options: Any) -> Any:
         search, found = attempt(self, *starts, **options)
         if self.problem.harmonics < 40:
             return search, found
         return search, replace(found, converged=False).reported(fc.ErrorReport(truncation=1.0))
 
-    monkeypatch.setattr(Solver, "search_and_solution", fail)
+    monkeypatch.setattr(HarmonicBalanceSolver, "search_and_solution", fail)
     monkeypatch.setattr("fenics_crack.balance.more_modes.find_orbit", lambda *_, **__: None)
     assert 0.3 * true_part < reduction() < 3.0 * true_part
 

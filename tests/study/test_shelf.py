@@ -305,7 +305,7 @@ def test_structure_of_a_file_serves_its_command_alone(plate: Path) -> None:
     """A script in the same process has a mesh to integrate over."""
     assert run("check", plate) == 0
     scene = fc.Scene.load(plate)
-    assert fc.prepare(scene, whole=True).structure.nodes.mesh_dofs is not None
+    assert fc.prepare(scene, whole=True).structure.nodes.dolfinx_mesh_and_dofs is not None
 
 
 def amplitude_of(folder: str, comm: MPI.Comm = MPI.COMM_WORLD) -> float:

@@ -109,7 +109,7 @@ def by_exponentials(flow: ExponentialFlow, start: np.ndarray, steps: int) -> tup
         0.5 * exponential[: 2 * count, 2 * count :],
     )
     rows = flow.state_to_gap_matrix
-    static_compliance = flow.residual_flexibility + np.diag(flow.softness)
+    static_compliance = flow.residual_flexibility + np.diag(flow.contact_spring_compliance)
     compliance = static_compliance + rows @ force_transition
 
     state = start - flow.steady_states[0]
@@ -186,7 +186,7 @@ def test_no_step_is_too_long(
         is_closed = np.arange(structure.n_pairs) < count
         flow = ExponentialFlow(structure, 2000.0, law, 4)
         squares, pairs = flow.modal_model.squares, flow.modal_model.gaps_by_mode
-        compliance = flow.residual_flexibility + np.diag(flow.softness)
+        compliance = flow.residual_flexibility + np.diag(flow.contact_spring_compliance)
         rest = -(pairs @ is_closed) / squares  # under unit forces of the closed pairs
         rest_clearance = (
             rest @ pairs - compliance @ is_closed + 1e9 * np.abs(rest @ pairs).max() * ~is_closed

@@ -177,7 +177,9 @@ def at_stations(elements: int) -> tuple[np.ndarray, ...]:
     on the line through the last two, as the program has it."""
     front = pulled("ellipse", elements)
     stations, rows, _ = front_functionals(solid(), front.structure)
-    motion = front.structure.nodes.mesh_dofs.restrict_to_free(front.displacement().ravel())
+    motion = front.structure.nodes.dolfinx_mesh_and_dofs.restrict_to_free(
+        front.displacement().ravel()
+    )
     K_I, K_II, K_III = (rows @ motion).reshape(-1, 3).T
     x, _, z = np.array([station.point for station in stations]).T
     angles = np.arctan2(np.abs(THICKNESS - z) / 0.003, (x - 0.015) / 0.008)

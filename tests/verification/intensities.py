@@ -309,7 +309,9 @@ def torsion(element: float = 1.2e-4) -> tuple[np.ndarray, np.ndarray, int]:
         [on_plane[:, 2], on_plane[:, 0] | on_plane[:, 2], on_plane[:, 0]]
     )
     displacement = displaced(
-        structure, structure.nodes.mesh_dofs.restrict_to_free(load.ravel()), clamped_axes
+        structure,
+        structure.nodes.dolfinx_mesh_and_dofs.restrict_to_free(load.ravel()),
+        clamped_axes,
     )
     stations, rows, _ = front_functionals(scene, structure)
     intensities = (rows @ displacement).reshape(-1, 3) / (torque * ring(RADIUS, LIGAMENT, HALF))

@@ -22,7 +22,7 @@ from fenics_crack.basics.ranks import MPI, on_root
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.monitoring.identification.measurements import Measurements
 from fenics_crack.monitoring.identification.model import has_load_independent_motion_shape
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_VALUES
 from fenics_crack.monitoring.identification.posterior import (
     Likelihood,
     Posterior,
@@ -209,7 +209,7 @@ def infer_unknowns(
     measurement_values, measured_standard_deviations = np.array(
         [(measurement.value, measurement.deviation) for measurement in single_measurements]
     ).T
-    branch_by_words, uncracked_branch_by_words = (
+    posterior_by_text_values, uncracked_branch_by_words = (
         {
             words_text: PosteriorForTextValues(
                 Likelihood(
@@ -221,8 +221,8 @@ def infer_unknowns(
             for words_text, model in forward_model_by_words.items()
         }
         for forward_model_by_words in (
-            forward_models.cracked_model_by_words,
-            forward_models.uncracked_model_by_words,
+            forward_models.cracked_model_by_text_values,
+            forward_models.uncracked_model_by_text_values,
         )
     )
     remark_texts = (
@@ -230,7 +230,7 @@ def infer_unknowns(
         *_yield_excessive_vibration_remarks(forward_models, measurements),
     )
     cracked_and_uncracked_posteriors = (
-        Posterior(branch_by_words),
+        Posterior(posterior_by_text_values),
         Posterior(uncracked_branch_by_words) if uncracked_branch_by_words else None,
     )
     return Identification(
@@ -262,8 +262,8 @@ def _select_predictable_measurements(
         No measurement made after the crack began can be predicted.
     """
     cracked_and_uncracked_models = [
-        *forward_models.cracked_model_by_words.values(),
-        *forward_models.uncracked_model_by_words.values(),
+        *forward_models.cracked_model_by_text_values.values(),
+        *forward_models.uncracked_model_by_text_values.values(),
     ]
     single_measurements = measurements.rows
     is_predictable = np.all(
@@ -366,7 +366,7 @@ def _yield_excessive_vibration_remarks(
     Such a crack lies between solved cracks, near a resonance. It may open and close in another way
     than all solved cracks, so that interpolation is wrong. A remark is a sentence with the load and
     the vibration. It follows if the vibration exceeds twice the largest of all solved cracks
-    (:attr:`Options.max_vibration_ratio_to_solved_cracks`). If the motion is proportional to the
+    (:attr:`Options.max_unsolved_to_solved_vibration`). If the motion is proportional to the
     load, there is no remark.
     """
     if has_load_independent_motion_shape(forward_models.scene):
@@ -377,14 +377,14 @@ def _yield_excessive_vibration_remarks(
         if measurement.is_independent_of_load_size
     )
     for model, (load_frequency, point_name) in itertools.product(
-        forward_models.cracked_model_by_words.values(), measured_loads_and_points
+        forward_models.cracked_model_by_text_values.values(), measured_loads_and_points
     ):
         ratio_to_largest_solved_vibration, unknown_values = find_vibration_ratio_to_solved_cracks(
             model, load_frequency, point_name
         )
         if (
             ratio_to_largest_solved_vibration
-            > IDENTIFICATION_SETTINGS.max_vibration_ratio_to_solved_cracks
+            > IDENTIFICATION_VALUES.max_unsolved_to_solved_vibration
         ):
             unknown_values_text = ", ".join(
                 f"{key} = {unknown_value:.4g}"
@@ -422,7 +422,7 @@ def _find_most_interpolated_measurement_or_none(
     """
     points_and_interpolation_shares = [
         branch.find_explanations_and_interpolation_shares()
-        for branch in identification.posterior.branch_by_words.values()
+        for branch in identification.posterior.posterior_by_text_values.values()
     ]
     explaining_points, interpolation_shares = (
         np.vstack(points_or_shares_of_branches)
@@ -434,7 +434,7 @@ def _find_most_interpolated_measurement_or_none(
     worst_row_index = int(mean_shares.sum(axis=0).argmax())
     shares_along_unknowns = mean_shares[:, worst_row_index]
     is_share_small = (
-        shares_along_unknowns.sum() <= IDENTIFICATION_SETTINGS.allowed_interpolation_share
+        shares_along_unknowns.sum() <= IDENTIFICATION_VALUES.allowed_interpolation_share
     )
     return (
         None

@@ -55,10 +55,10 @@ from scipy.special import softmax
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.monitoring.identification.measurements import Measurement
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_VALUES
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
-from fenics_crack.sweep.file import STORED_HARMONIC_ORDERS, STORED_MODE_NUMBERS, CaseState
+from fenics_crack.sweep.file import STORED_HARMONIC_ORDERS, STORED_MODE_NUMBER_RANGE, CaseState
 from fenics_crack.sweep.result import SweepResult
 
 
@@ -146,7 +146,7 @@ class Interpolation:
 
     Parameters
     ----------
-    unknown_grid : UnknownGrid
+    grid_of_solved_cases : UnknownGrid
         Grid of the solved values of the unknowns.
     node_values : (n, q)
         Quantities at all grid nodes; nan for failed cases.
@@ -156,23 +156,28 @@ class Interpolation:
     has_enough_known_nodes : (q,) bool
         True for a quantity with enough known nodes to fill its failed cases
         (:func:`_fill_unknown_nodes`).
-    has_only_inner_gaps : (q,) bool
+    are_failed_cases_between_known : (q,) bool
         True for a quantity if every failed case lies between two known nodes along an axis.
     """
 
-    def __init__(self, unknown_grid: UnknownGrid, node_values: np.ndarray) -> None:
-        self.unknown_grid = unknown_grid
-        self.has_only_inner_gaps = _has_only_inner_gaps(unknown_grid, np.isfinite(node_values))
+    def __init__(self, grid_of_solved_cases: UnknownGrid, node_values: np.ndarray) -> None:
+        self.grid_of_solved_cases = grid_of_solved_cases
+        self.are_failed_cases_between_known = _has_only_inner_gaps(
+            grid_of_solved_cases, np.isfinite(node_values)
+        )
         node_values, self.has_enough_known_nodes, fill_errors = _fill_unknown_nodes(
-            unknown_grid, node_values
+            grid_of_solved_cases, node_values
         )
         self._node_values = node_values
         # Cardinal splines of each axis: 1 at one value, 0 at all other values.
         self._basis_splines = [
-            _fit_spline(axis_values, np.eye(len(axis_values))) for axis_values in unknown_grid.axes
+            _fit_spline(axis_values, np.eye(len(axis_values)))
+            for axis_values in grid_of_solved_cases.axes
         ]
-        if unknown_grid.axes:
-            node_values_on_grid = node_values.reshape(*unknown_grid.shape, node_values.shape[1])
+        if grid_of_solved_cases.axes:
+            node_values_on_grid = node_values.reshape(
+                *grid_of_solved_cases.shape, node_values.shape[1]
+            )
             leave_one_out_errors_along_axes = (
                 np.moveaxis(
                     compute_leave_one_out_errors(
@@ -181,10 +186,10 @@ class Interpolation:
                     0,
                     axis_index,
                 )
-                for axis_index, axis_values in enumerate(unknown_grid.axes)
+                for axis_index, axis_values in enumerate(grid_of_solved_cases.axes)
             )
             self._node_errors_along_axes = [
-                IDENTIFICATION_SETTINGS.error_per_leave_one_out_error
+                IDENTIFICATION_VALUES.error_per_leave_one_out_error
                 * errors_along_axis.reshape(node_values.shape)
                 for errors_along_axis in leave_one_out_errors_along_axes
             ]
@@ -198,7 +203,7 @@ class Interpolation:
         """
         node_weights = np.ones((len(x), 1))
         for x_column, axis_values, basis_spline in zip(
-            x.T, self.unknown_grid.axes, self._basis_splines, strict=True
+            x.T, self.grid_of_solved_cases.axes, self._basis_splines, strict=True
         ):
             weights_along_axis = basis_spline(np.clip(x_column, axis_values[0], axis_values[-1]))
             node_weights = (node_weights[:, :, None] * weights_along_axis[:, None, :]).reshape(
@@ -234,16 +239,20 @@ class Interpolation:
             failed, a last array has the errors due to failed cases. Without unknowns the list is
             empty.
         """
-        if not self.unknown_grid.axes:
+        if not self.grid_of_solved_cases.axes:
             return []
-        node_coordinates = self.unknown_grid.find_node_coordinates(self.unknown_grid.nodes)
+        node_coordinates = self.grid_of_solved_cases.find_node_coordinates(
+            self.grid_of_solved_cases.nodes
+        )
         weight_exponents = (
             -0.5
-            / IDENTIFICATION_SETTINGS.error_averaging_width_in_nodes**2
-            * cdist(self.unknown_grid.find_node_coordinates(x), node_coordinates, "sqeuclidean")
+            / IDENTIFICATION_VALUES.error_averaging_width_in_nodes**2
+            * cdist(
+                self.grid_of_solved_cases.find_node_coordinates(x), node_coordinates, "sqeuclidean"
+            )
         )
         n_averaged_nodes = min(
-            IDENTIFICATION_SETTINGS.max_nodes_in_error_average, len(node_coordinates)
+            IDENTIFICATION_VALUES.max_nodes_in_error_average, len(node_coordinates)
         )
         nearest_node_indices = np.argpartition(-weight_exponents, n_averaged_nodes - 1, axis=1)[
             :, :n_averaged_nodes
@@ -256,15 +265,15 @@ class Interpolation:
         ]
 
 
-def _has_only_inner_gaps(unknown_grid: UnknownGrid, is_known: np.ndarray) -> np.ndarray:
+def _has_only_inner_gaps(grid_of_solved_cases: UnknownGrid, is_known: np.ndarray) -> np.ndarray:
     """Return True for each quantity whose failed cases lie between solved cases: (q,).
 
     Each failed case must have solved cases on both sides along at least one axis. ``is_known`` (n,
     q) is True for solved cases at n grid nodes.
     """
-    is_known_on_grid = is_known.reshape(*unknown_grid.shape, is_known.shape[1])
+    is_known_on_grid = is_known.reshape(*grid_of_solved_cases.shape, is_known.shape[1])
     is_known_or_between = is_known_on_grid.copy()
-    for axis_index in range(len(unknown_grid.axes)):
+    for axis_index in range(len(grid_of_solved_cases.axes)):
         is_known_on_lines = np.moveaxis(is_known_on_grid, axis_index, 0)
         is_known_below, is_known_above = (
             np.logical_or.accumulate(is_known_in_order)
@@ -275,7 +284,7 @@ def _has_only_inner_gaps(unknown_grid: UnknownGrid, is_known: np.ndarray) -> np.
 
 
 def _fill_unknown_nodes(
-    unknown_grid: UnknownGrid, node_values: np.ndarray
+    grid_of_solved_cases: UnknownGrid, node_values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fill the values of failed cases by a thin-plate spline through the solved cases.
 
@@ -285,7 +294,7 @@ def _fill_unknown_nodes(
 
     Parameters
     ----------
-    unknown_grid : UnknownGrid
+    grid_of_solved_cases : UnknownGrid
         Grid with n nodes.
     node_values : (n, q)
         Quantities at the nodes; nan for failed cases.
@@ -299,7 +308,7 @@ def _fill_unknown_nodes(
     fill_errors : (n, q)
         Estimated errors at filled nodes; 0 at solved nodes.
     """
-    is_known, n_unknowns = np.isfinite(node_values), len(unknown_grid.axes)
+    is_known, n_unknowns = np.isfinite(node_values), len(grid_of_solved_cases.axes)
     min_total_of_known_nodes = max(
         (n_unknowns + 1) * (n_unknowns + 2) // 2 + 1, len(node_values) / 2
     )
@@ -310,9 +319,9 @@ def _fill_unknown_nodes(
     fill_errors = np.zeros_like(gapless_node_values)
     for quantity_index in np.flatnonzero(has_enough_known_nodes & ~is_known.all(axis=0)):
         is_known_node, quantity_values = is_known[:, quantity_index], node_values[:, quantity_index]
-        scaled_node_coordinates = (unknown_grid.nodes - unknown_grid.lower_bounds) / (
-            unknown_grid.upper_bounds - unknown_grid.lower_bounds
-        )
+        scaled_node_coordinates = (
+            grid_of_solved_cases.nodes - grid_of_solved_cases.lower_bounds
+        ) / (grid_of_solved_cases.upper_bounds - grid_of_solved_cases.lower_bounds)
         gapless_node_values[~is_known_node, quantity_index] = _interpolate_thin_plate(
             scaled_node_coordinates[is_known_node],
             quantity_values[is_known_node],
@@ -364,7 +373,7 @@ class SweptLoads:
     ----------
     frequencies : tuple of float
         Load frequencies [Hz].
-    sweep_axis : Axis
+    frequency_or_rpm_axis : Axis
         Last axis of the sweep over all cases: load frequencies [Hz]; with an engine order, rotor
         speeds [rpm].
     """
@@ -381,7 +390,7 @@ class SweptLoads:
         )  # rounded as the load frequency of arrivals
         if engine_order is None:
             self.frequencies = tuple(sorted_frequencies) or (scene_load_frequency,)
-            self.sweep_axis = Axis("excitation.frequency", self.frequencies)
+            self.frequency_or_rpm_axis = Axis("excitation.frequency", self.frequencies)
         else:
             self.frequencies = (
                 scene_load_frequency,
@@ -392,12 +401,12 @@ class SweptLoads:
                 ),
             )
             speeds_rpm = tuple(60.0 * frequency / engine_order for frequency in self.frequencies)
-            self.sweep_axis = Axis("rotation.rpm", speeds_rpm)
+            self.frequency_or_rpm_axis = Axis("rotation.rpm", speeds_rpm)
 
     @property
     def has_rotor_speeds(self) -> bool:
         """Return True if each load has a rotor speed, by an engine order."""
-        return self.sweep_axis.key == "rotation.rpm"
+        return self.frequency_or_rpm_axis.key == "rotation.rpm"
 
     @property
     def rotor_speed_ratios(self) -> np.ndarray:
@@ -451,7 +460,7 @@ class SolvedCases:
         self.swept_loads = swept_loads
         self.uncracked_cases = uncracked_cases
         unknown_axes = sweep_result.axes[:-1]
-        self.word_selection_index = tuple(
+        self.sweep_slices_for_text_values = tuple(
             axis.values.index(text_value_by_unknown_key[axis.key])
             if axis.key in text_value_by_unknown_key
             else slice(None)
@@ -461,7 +470,7 @@ class SolvedCases:
         for axis in unknown_axes:
             if axis.key not in text_value_by_unknown_key:
                 number_axes += mesh_number_axes if axis.key == MESH_FILE_AXIS_KEY else [axis]
-        self.unknown_grid = UnknownGrid(
+        self.grid_of_solved_cases = UnknownGrid(
             tuple(np.array(axis.values, dtype=float) for axis in number_axes)
         )
         self.unknown_keys = tuple(axis.key for axis in number_axes)
@@ -471,7 +480,7 @@ class SolvedCases:
 
         ``column_name`` is the name in the sweep's table, such as "harmonics".
         """
-        column = self.sweep_result[column_name][self.word_selection_index]
+        column = self.sweep_result[column_name][self.sweep_slices_for_text_values]
         return np.asarray(column.reshape(-1, column.shape[-1]), dtype=float)
 
     def get_natural_frequencies(self, crack_state: str, mode: int) -> np.ndarray:
@@ -488,12 +497,14 @@ class SolvedCases:
             frequencies = self.uncracked_cases.get_natural_frequencies("tied", mode)
             broadcast_shape_of_uncracked_grid = [
                 n_values if key in self.uncracked_cases.unknown_keys else 1
-                for key, n_values in zip(self.unknown_keys, self.unknown_grid.shape, strict=True)
+                for key, n_values in zip(
+                    self.unknown_keys, self.grid_of_solved_cases.shape, strict=True
+                )
             ]
             n_loads = frequencies.shape[1]
             frequencies = np.broadcast_to(
                 frequencies.reshape(*broadcast_shape_of_uncracked_grid, n_loads),
-                (*self.unknown_grid.shape, n_loads),
+                (*self.grid_of_solved_cases.shape, n_loads),
             )
             return frequencies.reshape(-1, n_loads)
         frequencies = self.get_column(f"omega_{crack_state}_{mode}") / (2.0 * np.pi)
@@ -569,7 +580,7 @@ class SolvedCases:
         return solved_frequencies.index(load_frequency)
 
     @cached_property
-    def crack_split_root_and_frequencies(self) -> np.ndarray:
+    def frequency_drop_root_and_frequencies(self) -> np.ndarray:
         """Return sqrt(s) and natural frequencies: (n, n_loads, 1 + 2 modes).
 
         They are used to find the poles of harmonics, which are removed before interpolation. The
@@ -584,7 +595,10 @@ class SolvedCases:
         """
         bonded_frequencies, open_frequencies, bilinear_frequencies, uncracked_frequencies = (
             np.stack(
-                [self.get_natural_frequencies(crack_state, mode) for mode in STORED_MODE_NUMBERS],
+                [
+                    self.get_natural_frequencies(crack_state, mode)
+                    for mode in STORED_MODE_NUMBER_RANGE
+                ],
                 axis=2,
             )
             for crack_state in ("tied", "open", "bilinear", "uncracked")
@@ -696,7 +710,7 @@ class Feature:
         """Return the exponent n of a feature that is proportional to s^n for short cracks.
 
         The split s measures how much the crack changes the stiffness
-        (:attr:`SolvedCases.crack_split_root_and_frequencies`). n is 1 for even harmonics, and 2
+        (:attr:`SolvedCases.frequency_drop_root_and_frequencies`). n is 1 for even harmonics, and 2
         for odd harmonics above the first. n is 0 for the first harmonic and natural frequencies.
         """
         return 1 + self.harmonic_order % 2 if self.harmonic_order > 1 else 0
@@ -715,7 +729,7 @@ class Feature:
 def find_frequency_ratios_and_pole_factors(
     features: Sequence[Feature],
     damping_ratio_of_points: np.ndarray,
-    crack_split_root_and_frequencies: np.ndarray,
+    frequency_drop_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return frequency ratios r and pole factors, for each mode: (m, f, modes) each.
 
@@ -732,10 +746,10 @@ def find_frequency_ratios_and_pole_factors(
         f natural frequencies and harmonics.
     damping_ratio_of_points : (m, 1)
         Damping ratios z at m values of the unknowns.
-    crack_split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature.
+    frequency_drop_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.frequency_drop_root_and_frequencies` at the load of each feature.
     """
-    mode_frequencies = crack_split_root_and_frequencies[..., STORED_MODE_NUMBERS]
+    mode_frequencies = frequency_drop_root_and_frequencies[..., STORED_MODE_NUMBER_RANGE]
     harmonic_frequencies = np.array(
         [feature.harmonic_order * feature.load_frequency for feature in features]
     )
@@ -797,7 +811,7 @@ def replace_by_driving_first_harmonics(features: Sequence[Feature]) -> list[Feat
 def compute_smoothing_factors(
     features: Sequence[Feature],
     damping_ratio_of_points: np.ndarray,
-    crack_split_root_and_frequencies: np.ndarray,
+    frequency_drop_root_and_frequencies: np.ndarray,
     relative_crack_sizes: np.ndarray,
 ) -> np.ndarray:
     """Return factors that make features smooth functions of the unknowns: (m, f).
@@ -817,20 +831,20 @@ def compute_smoothing_factors(
         f natural frequencies and harmonics.
     damping_ratio_of_points : (m, 1)
         Damping ratios at m values of the unknowns.
-    crack_split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature.
+    frequency_drop_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.frequency_drop_root_and_frequencies` at the load of each feature.
     relative_crack_sizes : (m,)
         Crack sizes, 1 for the largest crack.
     """
     split_exponents = np.array([feature.crack_split_exponent for feature in features])
     is_cracked_frequency = np.array([feature.is_cracked_frequency for feature in features])
     smoothing_factors_of_harmonics = find_frequency_ratios_and_pole_factors(
-        features, damping_ratio_of_points, crack_split_root_and_frequencies
-    )[1].prod(axis=2) / crack_split_root_and_frequencies[..., 0] ** (2 * split_exponents)
+        features, damping_ratio_of_points, frequency_drop_root_and_frequencies
+    )[1].prod(axis=2) / frequency_drop_root_and_frequencies[..., 0] ** (2 * split_exponents)
     first_harmonic_pole_factors = find_frequency_ratios_and_pole_factors(
         replace_by_driving_first_harmonics(features),
         damping_ratio_of_points,
-        crack_split_root_and_frequencies,
+        frequency_drop_root_and_frequencies,
     )[1].prod(axis=2)
     smoothing_factors_of_harmonics = smoothing_factors_of_harmonics * np.exp(
         compute_log_factors_by_first_harmonic(np.log(first_harmonic_pole_factors), features)

@@ -28,7 +28,7 @@ from fenics_crack.basics.suggestions import (
 )
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Tabular, format_count
 from fenics_crack.basics.untrusted_files import convert_heading_to_si, read_numbered_csv_rows
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_VALUES
 from fenics_crack.scene.fields import (
     MAX_ALLOWED_MAGNITUDE,
     MIN_ALLOWED_MAGNITUDE,
@@ -315,8 +315,8 @@ class Measurements(Tabular):
             raise InputError(
                 "measurements", list(self.rows), "a list of at least one fc.Measurement"
             )
-        if len(self.rows) > IDENTIFICATION_SETTINGS.max_measurements:
-            row_limit_text = f"at most {IDENTIFICATION_SETTINGS.max_measurements} rows"
+        if len(self.rows) > IDENTIFICATION_VALUES.max_measurements:
+            row_limit_text = f"at most {IDENTIFICATION_VALUES.max_measurements} rows"
             allowed_text = f"{row_limit_text}; replace repeated measurements by their mean"
             raise InputError("measurements", f"{len(self.rows)} rows", allowed_text)
         values_by_name: dict[str, list[float]] = {}
@@ -482,7 +482,7 @@ class Measurements(Tabular):
             "displacement",
             displacements.tolist(),
             displacement_deviations.tolist(),
-            phase=(order * probe_statistics.angles % RAD_PER_TURN).tolist(),
+            phase=(order * probe_statistics.arrival_rotor_angles % RAD_PER_TURN).tolist(),
             frequency=[load_frequency] * len(n_arrivals_of_probes),
             point=[point] * len(n_arrivals_of_probes),
         )
@@ -680,7 +680,7 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
     with report_read_errors("measurements", path, "a CSV file"):
         (_, heading_cells), *numbered_table_rows = read_numbered_csv_rows(path) or [(0, [])]
     numbered_table_rows = numbered_table_rows[
-        : IDENTIFICATION_SETTINGS.max_measurements + 1
+        : IDENTIFICATION_VALUES.max_measurements + 1
     ]  # one row too many suffices for the error
     # Units of values and deviations depend on the quantity of the row.
     si_headings_and_factors = [

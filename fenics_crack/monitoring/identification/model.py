@@ -70,7 +70,7 @@ class ForwardModel:
         self.coarse_mesh_cases = coarse_mesh_cases
         self.text_value_by_unknown_key = dict(text_value_by_unknown_key)
         self.unknown_keys = coarse_mesh_cases.unknown_keys
-        self.unknown_grid = coarse_mesh_cases.unknown_grid
+        self.grid_of_solved_cases = coarse_mesh_cases.grid_of_solved_cases
 
     def get_damping_ratio_of_points(self, x: np.ndarray) -> np.ndarray:
         """Return the damping ratio at m values x (m, d) of the unknowns: (m, 1).
@@ -104,7 +104,8 @@ class ForwardModel:
         ]
         return np.asarray(
             np.prod(
-                x[:, size_unknown_indices] / self.unknown_grid.upper_bounds[size_unknown_indices],
+                x[:, size_unknown_indices]
+                / self.grid_of_solved_cases.upper_bounds[size_unknown_indices],
                 axis=1,
             )
         )
@@ -130,24 +131,24 @@ class FeaturePrediction(NamedTuple):
     ----------
     damping_ratio_of_points : (m, 1)
         Damping ratios.
-    crack_split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature.
-    interpolation_smoothing_factors : (m, f)
+    frequency_drop_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.frequency_drop_root_and_frequencies` at the load of each feature.
+    feature_to_smooth_form_factors : (m, f)
         Smoothing factors (:func:`compute_smoothing_factors`).
     feature_values : (m, f)
         Logarithms of natural frequencies [Hz], and complex harmonics [m].
     interpolation_variances : (m, f)
         Variances of the features due to interpolation.
-    covariance_of_smooth_features : (m, 2f, 2f)
+    smooth_form_covariance : (m, 2f, 2f)
         Covariance of the smooth forms; real and imaginary parts alternate.
     """
 
     damping_ratio_of_points: np.ndarray
-    crack_split_root_and_frequencies: np.ndarray
-    interpolation_smoothing_factors: np.ndarray
+    frequency_drop_root_and_frequencies: np.ndarray
+    feature_to_smooth_form_factors: np.ndarray
     feature_values: np.ndarray
     interpolation_variances: np.ndarray
-    covariance_of_smooth_features: np.ndarray
+    smooth_form_covariance: np.ndarray
 
 
 class FeaturePredictor:
@@ -197,34 +198,36 @@ class FeaturePredictor:
                 for speed_ratio in coarse_mesh_cases.swept_loads.rotor_speed_ratios
             ]
         )[self.solved_load_index_per_feature]
-        split_and_frequencies_at_nodes = coarse_mesh_cases.crack_split_root_and_frequencies
-        self._interpolation_of_crack_split = Interpolation(
-            model.unknown_grid,
+        split_and_frequencies_at_nodes = coarse_mesh_cases.frequency_drop_root_and_frequencies
+        self._frequency_drop_interpolation = Interpolation(
+            model.grid_of_solved_cases,
             split_and_frequencies_at_nodes.reshape(len(split_and_frequencies_at_nodes), -1),
         )
         self._coarse_mesh_interpolation = Interpolation(
-            model.unknown_grid, self._evaluate_smooth_features(coarse_mesh_cases)
+            model.grid_of_solved_cases, self._evaluate_smooth_features(coarse_mesh_cases)
         )
-        self._interpolation_error_scales = self._estimate_interpolation_error_scales()
+        self._interpolation_error_factors = self._estimate_interpolation_error_factors()
         interpolations_of_meshes = [self._coarse_mesh_interpolation]
         # If elements smaller by a factor f change a quantity by d, an error of first order leaves
         # d / (f - 1), an error of high order nothing. The mean is added, and is the deviation, too.
         mesh_ratio = model.identify_table.finer
-        self._remaining_mesh_fraction = 0.5 / max(mesh_ratio - 1.0, 1.0 / mesh_ratio - 1.0, 0.1)
+        self._remaining_error_per_mesh_difference = 0.5 / max(
+            mesh_ratio - 1.0, 1.0 / mesh_ratio - 1.0, 0.1
+        )
         self._mesh_correction: Interpolation | None = None
         if model.finer_mesh_cases is not None:
-            finer_mesh_unknown_grid = model.finer_mesh_cases.unknown_grid
+            grid_of_finer_mesh_cases = model.finer_mesh_cases.grid_of_solved_cases
             mesh_difference = self._evaluate_smooth_features(
                 model.finer_mesh_cases
-            ) - self._coarse_mesh_interpolation.interpolate(finer_mesh_unknown_grid.nodes)
-            self._mesh_correction = Interpolation(finer_mesh_unknown_grid, mesh_difference)
+            ) - self._coarse_mesh_interpolation.interpolate(grid_of_finer_mesh_cases.nodes)
+            self._mesh_correction = Interpolation(grid_of_finer_mesh_cases, mesh_difference)
             interpolations_of_meshes.append(self._mesh_correction)
         is_frequency_column = np.repeat(
             [feature.is_natural_frequency for feature in self.features], 2
         )
         predictable_column_masks = [
             mesh_interpolation.has_enough_known_nodes
-            & (mesh_interpolation.has_only_inner_gaps | is_frequency_column)
+            & (mesh_interpolation.are_failed_cases_between_known | is_frequency_column)
             for mesh_interpolation in interpolations_of_meshes
         ]
         self.is_feature_predictable = (
@@ -241,29 +244,29 @@ class FeaturePredictor:
         """
         smooth_features = self._coarse_mesh_interpolation.interpolate(x)
         interpolation_errors = (
-            self._interpolation_error_scales
+            self._interpolation_error_factors
             * self._coarse_mesh_interpolation.list_weighted_node_errors(x)
         )
         remaining_mesh_errors = np.zeros_like(smooth_features)
         if self._mesh_correction is not None:
             mesh_difference = self._mesh_correction.interpolate(x)
-            remaining_mesh_errors = self._remaining_mesh_fraction * mesh_difference
+            remaining_mesh_errors = self._remaining_error_per_mesh_difference * mesh_difference
             smooth_features = smooth_features + mesh_difference + remaining_mesh_errors
             interpolation_errors = np.concatenate(
                 [interpolation_errors, self._mesh_correction.list_weighted_node_errors(x)], axis=1
             )
         damping_ratio_of_points = self.model.get_damping_ratio_of_points(x)
-        crack_split_root_and_frequencies = self._interpolate_frequency_split_and_frequencies(x)
-        interpolation_smoothing_factors = self._compute_smoothing_factors(
-            x, crack_split_root_and_frequencies
+        frequency_drop_root_and_frequencies = self._interpolate_frequency_split_and_frequencies(x)
+        feature_to_smooth_form_factors = self._compute_smoothing_factors(
+            x, frequency_drop_root_and_frequencies
         )
         feature_values = (
             smooth_features[:, ::2] + 1j * smooth_features[:, 1::2]
-        ) / interpolation_smoothing_factors
+        ) / feature_to_smooth_form_factors
         prior_sensitivities = self.model.uncracked_plate.compute_feature_sensitivities(
             self.features,
             damping_ratio_of_points,
-            crack_split_root_and_frequencies,
+            frequency_drop_root_and_frequencies,
             self._mode_prior_sensitivities,
         )
         is_uncracked_feature = np.array(
@@ -271,7 +274,7 @@ class FeaturePredictor:
         )
         prior_errors = (
             prior_sensitivities
-            * np.where(is_uncracked_feature, 1.0, feature_values * interpolation_smoothing_factors)[
+            * np.where(is_uncracked_feature, 1.0, feature_values * feature_to_smooth_form_factors)[
                 ..., None
             ]
         )
@@ -289,11 +292,11 @@ class FeaturePredictor:
         )
         return FeaturePrediction(
             damping_ratio_of_points,
-            crack_split_root_and_frequencies,
-            interpolation_smoothing_factors,
+            frequency_drop_root_and_frequencies,
+            feature_to_smooth_form_factors,
             feature_values,
             (squared_interpolation_errors[:, ::2] + squared_interpolation_errors[:, 1::2])
-            / np.abs(interpolation_smoothing_factors) ** 2,
+            / np.abs(feature_to_smooth_form_factors) ** 2,
             independent_error_columns @ independent_error_columns.transpose(0, 2, 1),
         )
 
@@ -310,7 +313,7 @@ class FeaturePredictor:
         ) in self._coarse_mesh_interpolation.list_weighted_node_errors_along_axes(x)[: x.shape[1]]:
             independent_error_columns = np.concatenate(
                 _split_into_common_and_single_errors(
-                    self._interpolation_error_scales * node_errors_along_axis
+                    self._interpolation_error_factors * node_errors_along_axis
                 ),
                 axis=2,
             )
@@ -335,12 +338,14 @@ class FeaturePredictor:
         return split_complex_columns(
             feature_values
             * self._compute_smoothing_factors(
-                solved_cases.unknown_grid.nodes,
-                self._interpolate_frequency_split_and_frequencies(solved_cases.unknown_grid.nodes),
+                solved_cases.grid_of_solved_cases.nodes,
+                self._interpolate_frequency_split_and_frequencies(
+                    solved_cases.grid_of_solved_cases.nodes
+                ),
             )
         )
 
-    def _estimate_interpolation_error_scales(self) -> np.ndarray:
+    def _estimate_interpolation_error_factors(self) -> np.ndarray:
         """Return factors (>= 1) that enlarge the estimated interpolation errors: (2f,).
 
         Cases halfway between grid nodes show the real error of each of f features. The factor is
@@ -351,7 +356,7 @@ class FeaturePredictor:
         halfway_cases = self.model.halfway_cases
         if halfway_cases is None:
             return np.ones(2 * len(self.features))
-        x = halfway_cases.unknown_grid.nodes
+        x = halfway_cases.grid_of_solved_cases.nodes
         squared_errors = (
             self._evaluate_smooth_features(halfway_cases)
             - self._coarse_mesh_interpolation.interpolate(x)
@@ -372,7 +377,7 @@ class FeaturePredictor:
         return np.repeat(np.sqrt(np.maximum(variance_ratios, 1.0)), 2)
 
     def _compute_smoothing_factors(
-        self, x: np.ndarray, crack_split_root_and_frequencies: np.ndarray
+        self, x: np.ndarray, frequency_drop_root_and_frequencies: np.ndarray
     ) -> np.ndarray:
         """Return the factors that make f features smooth: (m, f).
 
@@ -383,32 +388,32 @@ class FeaturePredictor:
         ----------
         x : (m, d)
             m points, each with values of the d unknowns.
-        crack_split_root_and_frequencies : (m, f, 1 + 2 modes)
-            :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature. They
-            are from the coarse mesh, also to smooth results on the finer mesh: both meshes then
-            have the same factors.
+        frequency_drop_root_and_frequencies : (m, f, 1 + 2 modes)
+            :attr:`SolvedCases.frequency_drop_root_and_frequencies` at the load of each feature.
+            They are from the coarse mesh, also to smooth results on the finer mesh: both meshes
+            then have the same factors.
         """
         return compute_smoothing_factors(
             self.features,
             self.model.get_damping_ratio_of_points(x),
-            crack_split_root_and_frequencies,
+            frequency_drop_root_and_frequencies,
             self.model.compute_crack_sizes_relative_to_largest(x),
         )
 
     def _interpolate_frequency_split_and_frequencies(self, x: np.ndarray) -> np.ndarray:
         """Interpolate the split and the frequencies for poles of harmonics: (m, f, 1 + 2 modes).
 
-        They are :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each of f
+        They are :attr:`SolvedCases.frequency_drop_root_and_frequencies` at the load of each of f
         features. ``x`` (m, d) has m values of the unknowns. Quantities without enough solved cases
         are nan.
         """
-        crack_split_root_and_frequencies = np.where(
-            self._interpolation_of_crack_split.has_enough_known_nodes,
-            self._interpolation_of_crack_split.interpolate(x),
+        frequency_drop_root_and_frequencies = np.where(
+            self._frequency_drop_interpolation.has_enough_known_nodes,
+            self._frequency_drop_interpolation.interpolate(x),
             np.nan,
         )
-        return crack_split_root_and_frequencies.reshape(
-            len(x), *self.model.coarse_mesh_cases.crack_split_root_and_frequencies.shape[1:]
+        return frequency_drop_root_and_frequencies.reshape(
+            len(x), *self.model.coarse_mesh_cases.frequency_drop_root_and_frequencies.shape[1:]
         )[:, self.solved_load_index_per_feature]
 
     def _list_mesh_and_contact_errors(

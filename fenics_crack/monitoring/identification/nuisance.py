@@ -253,7 +253,7 @@ class UncrackedPlate:
         self,
         features: Sequence[Feature],
         damping_ratio_of_points: np.ndarray,
-        crack_split_root_and_frequencies: np.ndarray,
+        frequency_drop_root_and_frequencies: np.ndarray,
         mode_sensitivities: np.ndarray,
     ) -> np.ndarray:
         """Return relative changes of features by uncertain properties: (m, f, s + n + 1).
@@ -271,9 +271,9 @@ class UncrackedPlate:
             f natural frequencies and harmonics.
         damping_ratio_of_points : (m, 1)
             Damping ratios at m values of the unknowns.
-        crack_split_root_and_frequencies : (m, f, 1 + 2 n)
-            :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature, with n
-            modes.
+        frequency_drop_root_and_frequencies : (m, f, 1 + 2 n)
+            :attr:`SolvedCases.frequency_drop_root_and_frequencies` at the load of each feature,
+            with n modes.
         mode_sensitivities : (f, n, s)
             :meth:`compute_prior_sensitivities` at the rotor speed of each feature.
         """
@@ -283,24 +283,24 @@ class UncrackedPlate:
             for feature_flag_name in ("is_natural_frequency", "is_cracked_frequency")
         )
         mode_numbers = np.array([feature.mode for feature in features])[:, None]
-        slope_shape = len(crack_split_root_and_frequencies), len(mode_numbers), n_modes
+        slope_shape = len(frequency_drop_root_and_frequencies), len(mode_numbers), n_modes
         slopes_by_mode = np.broadcast_to(
             is_natural_frequency & (mode_numbers == 1 + np.arange(n_modes)), slope_shape
         )
         with np.errstate(invalid="ignore"):
             log_bilinear_frequencies, log_uncracked_frequencies = np.split(
-                np.log(crack_split_root_and_frequencies[..., 1:]), 2, axis=2
+                np.log(frequency_drop_root_and_frequencies[..., 1:]), 2, axis=2
             )
         log_frequency_shifts_by_crack = np.nan_to_num(
             log_bilinear_frequencies - log_uncracked_frequencies
         )[..., :n_modes]
         pole_slopes, damping_slopes = _differentiate_harmonic_logs(
-            features, damping_ratio_of_points, crack_split_root_and_frequencies
+            features, damping_ratio_of_points, frequency_drop_root_and_frequencies
         )
         first_harmonic_pole_slopes, first_harmonic_damping_slopes = _differentiate_harmonic_logs(
             replace_by_driving_first_harmonics(features),
             damping_ratio_of_points,
-            crack_split_root_and_frequencies,
+            frequency_drop_root_and_frequencies,
         )
         pole_slopes = (
             pole_slopes
@@ -682,7 +682,7 @@ def _build_rigid_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
 def _differentiate_harmonic_logs(
     features: Sequence[Feature],
     damping_ratio_of_points: np.ndarray,
-    crack_split_root_and_frequencies: np.ndarray,
+    frequency_drop_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return derivatives of ln(harmonic) by frequencies and damping of all modes.
 
@@ -695,8 +695,8 @@ def _differentiate_harmonic_logs(
         f natural frequencies and harmonics; derivatives of natural frequencies are 0.
     damping_ratio_of_points : (m, 1)
         Damping ratios z at m values of the unknowns.
-    crack_split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.crack_split_root_and_frequencies` at the load of each feature.
+    frequency_drop_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.frequency_drop_root_and_frequencies` at the load of each feature.
 
     Returns
     -------
@@ -706,7 +706,7 @@ def _differentiate_harmonic_logs(
         Part of mode j in the derivative by ln z. The sum over all modes is the derivative.
     """
     harmonic_to_mode_ratios, pole_factors = find_frequency_ratios_and_pole_factors(
-        features, damping_ratio_of_points, crack_split_root_and_frequencies
+        features, damping_ratio_of_points, frequency_drop_root_and_frequencies
     )
     damping_slopes = (
         2j * damping_ratio_of_points[..., None] * harmonic_to_mode_ratios / pole_factors

@@ -16,7 +16,7 @@ class Options:
     """Maximum number of measurements, since each grid point factorises their covariance."""
 
     # Cases of the forward model.
-    max_vibration_ratio_to_solved_cracks: float = 2.0
+    max_unsolved_to_solved_vibration: float = 2.0
     """Maximum vibration between solved cracks, over the largest at any solved crack.
 
     Above the ratio more cracks are solved, unless the motion is proportional to the load
@@ -47,7 +47,7 @@ class Options:
     """Maximum number of start points for least squares."""
     refined_half_width_in_deviations: float = 5.0
     """Half width of the refined grid around an optimum [standard deviations]."""
-    allowed_optimum_log_drop: float = 8.0
+    max_log_drop_of_kept_optima: float = 8.0
     """Maximum distance of log L below the best optimum; lower optima are neglected."""
     max_log_drop_below_best_to_evaluate: float = 300.0
     """Maximum distance of log L below the best optimum for points on the refined grid.
@@ -65,5 +65,5 @@ class Options:
     """Relative standard deviation of natural frequencies in advice on measurements."""
 
 
-IDENTIFICATION_SETTINGS = Options()
+IDENTIFICATION_VALUES = Options()
 """Settings of every identification."""

@@ -33,7 +33,7 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc, logsumexp
 
 from fenics_crack.monitoring.identification.interpolation import UnknownGrid
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_VALUES
 from fenics_crack.monitoring.identification.predictor import (
     MeasurementPredictions,
     MeasurementPredictor,
@@ -171,7 +171,9 @@ class Likelihood:
         prediction = self.predict_for_likeliest_face_state(x)
         temperature_slopes = (
             prediction.values[0]
-            * self.predictor.baseline_changes.unknown_temperature_frequency_changes[:, 0]
+            * self.predictor.plate_changes_since_baseline.unknown_temperature_frequency_changes[
+                :, 0
+            ]
             / self.measurement_deviations
         )
         differences_over_deviations = (
@@ -217,7 +219,7 @@ class Likelihood:
         degrees_of_freedom = (
             len(self.measurement_values)
             - n_fitted_unknowns
-            - self.predictor(x[:1]).changes_by_unknown_load.shape[2]
+            - self.predictor(x[:1]).changes_per_fitted_load_deviation.shape[2]
         )
         return chi_squares, np.asarray(chdtrc(max(degrees_of_freedom, 1), chi_squares))
 
@@ -249,7 +251,8 @@ def compute_scaled_covariance(
     is_predictable_pair = np.outer(prediction.is_predictable, prediction.is_predictable)
     prediction_covariance = (
         prediction.covariance
-        + prediction.changes_by_unknown_load @ prediction.changes_by_unknown_load.transpose(0, 2, 1)
+        + prediction.changes_per_fitted_load_deviation
+        @ prediction.changes_per_fitted_load_deviation.transpose(0, 2, 1)
     )
     deviations_of_unpredictable_rows = np.where(
         prediction.is_predictable, 0.0, 10.0 * (np.abs(measurement_values) + measurement_deviations)
@@ -304,20 +307,23 @@ class PosteriorForTextValues:
     grid_log_likelihood : (n_1, ..., n_d)
         Log-likelihood of real cracks at the grid points. The likelihood of the equivalent straight,
         sharp crack is convolved with the distribution of a real crack about it.
-    prior_probabilities : (n_1, ..., n_d)
+    grid_prior_probabilities : (n_1, ..., n_d)
         Prior probability of each grid point; the sum is 1.
     """
 
     def __init__(self, likelihood: Likelihood) -> None:
-        self.likelihood, unknown_grid = likelihood, likelihood.predictor.model.unknown_grid
-        n_unknowns = len(unknown_grid.axes)
+        self.likelihood, grid_of_solved_cases = (
+            likelihood,
+            likelihood.predictor.model.grid_of_solved_cases,
+        )
+        n_unknowns = len(grid_of_solved_cases.axes)
         self.axes: tuple[np.ndarray, ...] = ()
         if n_unknowns == 0:
             self.grid_log_likelihood = likelihood(np.zeros((1, 0))).reshape(())
-            self.prior_probabilities = np.ones(())
+            self.grid_prior_probabilities = np.ones(())
             self.optima = [Optimum(np.zeros(0), float(self.grid_log_likelihood), np.zeros((0, 0)))]
             return
-        first_grid = build_first_grid(unknown_grid)
+        first_grid = build_first_grid(grid_of_solved_cases)
         first_grid_log_likelihood = _evaluate_log_likelihood(likelihood, first_grid.nodes).reshape(
             first_grid.shape
         )
@@ -332,7 +338,7 @@ class PosteriorForTextValues:
             crack_deviations = model.compute_crack_geometry_deviations(optimum.x[None])[0]
             for deviations in (optimum.deviations, np.hypot(optimum.deviations, crack_deviations)):
                 refined_region_half_widths = (
-                    IDENTIFICATION_SETTINGS.refined_half_width_in_deviations * deviations
+                    IDENTIFICATION_VALUES.refined_half_width_in_deviations * deviations
                 )
                 refined_axis_value_arrays.append(
                     optimum.x + np.outer(offsets_over_half_width, refined_region_half_widths)
@@ -344,13 +350,13 @@ class PosteriorForTextValues:
             )
         )
         axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in self.axes]
-        self.prior_probabilities = reduce(np.multiply.outer, axis_weights)
+        self.grid_prior_probabilities = reduce(np.multiply.outer, axis_weights)
         grid_points = UnknownGrid(self.axes).nodes
         # Far below the maximum, log L is interpolated on the first grid, not computed again.
         neighbourhood_maxima = maximum_filter(first_grid_log_likelihood, size=3, mode="nearest")
         log_likelihood_limit = (
             self.optima[0].log_likelihood
-            - IDENTIFICATION_SETTINGS.max_log_drop_below_best_to_evaluate
+            - IDENTIFICATION_VALUES.max_log_drop_below_best_to_evaluate
         )
         is_evaluated = (
             RegularGridInterpolator(first_grid.axes, neighbourhood_maxima)(grid_points)
@@ -358,7 +364,7 @@ class PosteriorForTextValues:
         )
         for optimum in best_optima:
             refined_region_half_widths = (
-                IDENTIFICATION_SETTINGS.refined_half_width_in_deviations * optimum.deviations
+                IDENTIFICATION_VALUES.refined_half_width_in_deviations * optimum.deviations
             )
             is_evaluated |= np.all(
                 np.abs(grid_points - optimum.x) < refined_region_half_widths, axis=1
@@ -370,7 +376,7 @@ class PosteriorForTextValues:
             likelihood, grid_points[is_evaluated]
         )
         self.grid_log_likelihood = _convolve_with_crack_deviations(
-            refined_log_likelihood.reshape(self.prior_probabilities.shape),
+            refined_log_likelihood.reshape(self.grid_prior_probabilities.shape),
             self.axes,
             axis_weights,
             model.compute_crack_geometry_deviations(grid_points),
@@ -379,7 +385,7 @@ class PosteriorForTextValues:
     @property
     def log_evidence(self) -> float:
         """Return the log of the evidence, the integral of the likelihood over the prior."""
-        return float(logsumexp(self.grid_log_likelihood, b=self.prior_probabilities))
+        return float(logsumexp(self.grid_log_likelihood, b=self.grid_prior_probabilities))
 
     def get_unknown_values_by_key(self, x: np.ndarray) -> dict[str, Any]:
         """Return the values of all unknowns by key.
@@ -425,7 +431,7 @@ class PosteriorForTextValues:
         ]
         grid_points_and_optima = np.vstack(
             [
-                build_first_grid(likelihood_function.predictor.model.unknown_grid).nodes,
+                build_first_grid(likelihood_function.predictor.model.grid_of_solved_cases).nodes,
                 *(optimum.x for optimum in self.optima),
             ]
         )
@@ -503,17 +509,17 @@ def _convolve_with_crack_deviations(
     )
 
 
-def build_first_grid(unknown_grid: UnknownGrid) -> UnknownGrid:
+def build_first_grid(grid_of_solved_cases: UnknownGrid) -> UnknownGrid:
     """Return the posterior's first grid, equally spaced along each unknown.
 
-    The bounds are those of ``unknown_grid``. The number of values of each unknown is
+    The bounds are those of ``grid_of_solved_cases``. The number of values of each unknown is
     :data:`FIRST_GRID_COUNT_BY_DIMENSION` (9 if not listed there).
     """
-    n_values = FIRST_GRID_COUNT_BY_DIMENSION.get(len(unknown_grid.axes), 9)
+    n_values = FIRST_GRID_COUNT_BY_DIMENSION.get(len(grid_of_solved_cases.axes), 9)
     return UnknownGrid(
         tuple(
             np.linspace(axis_values[0], axis_values[-1], n_values)
-            for axis_values in unknown_grid.axes
+            for axis_values in grid_of_solved_cases.axes
         )
     )
 
@@ -530,7 +536,7 @@ def _split_points_into_batches(points: np.ndarray) -> list[np.ndarray]:
 
     A batch has at most :attr:`Options.points_per_batch` points.
     """
-    return np.array_split(points, -(-len(points) // IDENTIFICATION_SETTINGS.points_per_batch))
+    return np.array_split(points, -(-len(points) // IDENTIFICATION_VALUES.points_per_batch))
 
 
 def _find_optima(
@@ -547,11 +553,11 @@ def _find_optima(
     )
     start_indices = sorted(
         local_maximum_indices, key=lambda node_index: -log_likelihood.flat[node_index]
-    )[: IDENTIFICATION_SETTINGS.max_least_squares_starts]
+    )[: IDENTIFICATION_VALUES.max_least_squares_starts]
     optima: list[Optimum] = []
-    unknown_grid = likelihood.predictor.model.unknown_grid
-    lower_bounds = unknown_grid.lower_bounds
-    unknown_ranges = unknown_grid.upper_bounds - lower_bounds
+    grid_of_solved_cases = likelihood.predictor.model.grid_of_solved_cases
+    lower_bounds = grid_of_solved_cases.lower_bounds
+    unknown_ranges = grid_of_solved_cases.upper_bounds - lower_bounds
 
     def compute_residuals_at_fractions(fractions: np.ndarray) -> np.ndarray:
         return likelihood.compute_residuals((lower_bounds + unknown_ranges * fractions)[None])[0]
@@ -592,7 +598,7 @@ def _find_optima(
         )
         log_drop = optima[0].log_likelihood - optimum.log_likelihood
         if (
-            log_drop < IDENTIFICATION_SETTINGS.allowed_optimum_log_drop
+            log_drop < IDENTIFICATION_VALUES.max_log_drop_of_kept_optima
             and not is_near_better_optimum
         ):
             distinct_optima.append(optimum)
@@ -607,24 +613,27 @@ class Posterior:
 
     Parameters
     ----------
-    branch_by_words : dict of str to PosteriorForTextValues
+    posterior_by_text_values : dict of str to PosteriorForTextValues
         Branch for each choice. Keys are the text values, joined with ", "; "" if all unknowns are
         numbers.
     """
 
-    def __init__(self, branch_by_words: Mapping[str, PosteriorForTextValues]) -> None:
-        self.branch_by_words = dict(branch_by_words)
-        log_evidences = [branch.log_evidence for branch in self.branch_by_words.values()]
+    def __init__(self, posterior_by_text_values: Mapping[str, PosteriorForTextValues]) -> None:
+        self.posterior_by_text_values = dict(posterior_by_text_values)
+        log_evidences = [branch.log_evidence for branch in self.posterior_by_text_values.values()]
         log_evidence_sum = logsumexp(log_evidences)
         self.log_evidence = float(log_evidence_sum - np.log(len(log_evidences)))
         self.grid_probabilities_by_words = {
             words_text: np.exp(branch.grid_log_likelihood - log_evidence_sum)
-            * branch.prior_probabilities
-            for words_text, branch in self.branch_by_words.items()
+            * branch.grid_prior_probabilities
+            for words_text, branch in self.posterior_by_text_values.items()
         }
         """Probability of each grid point, by text values; the sum over all is 1."""
         self._log_likelihoods_at_all_nodes = np.concatenate(
-            [branch.grid_log_likelihood.ravel() for branch in self.branch_by_words.values()]
+            [
+                branch.grid_log_likelihood.ravel()
+                for branch in self.posterior_by_text_values.values()
+            ]
         )
         self._mass_of_points = np.concatenate(
             [point_masses.ravel() for point_masses in self.grid_probabilities_by_words.values()]
@@ -638,16 +647,18 @@ class Posterior:
         all unknowns are numbers. The second item has the values of the d unknowns with numbers.
         """
         words_text = max(
-            self.branch_by_words,
-            key=lambda words_text: self.branch_by_words[words_text].optima[0].log_likelihood,
+            self.posterior_by_text_values,
+            key=lambda words_text: (
+                self.posterior_by_text_values[words_text].optima[0].log_likelihood
+            ),
         )
-        return words_text, self.branch_by_words[words_text].optima[0].x
+        return words_text, self.posterior_by_text_values[words_text].optima[0].x
 
     @property
     def _likelihood_function_and_best_unknowns(self) -> tuple[Likelihood, np.ndarray]:
         """Return the likelihood, and the unknowns (d,) at its maximum."""
         words_text, x = self.best_words_and_unknowns
-        return self.branch_by_words[words_text].likelihood, x
+        return self.posterior_by_text_values[words_text].likelihood, x
 
     @cached_property
     def misfit_chi_square_and_p_value(self) -> tuple[float, float]:
@@ -706,7 +717,7 @@ class Posterior:
         unknown, as on a thin ridge.
         """
         unresolved_sum = 0.0
-        for words_text, branch in self.branch_by_words.items():
+        for words_text, branch in self.posterior_by_text_values.items():
             is_unresolved = np.zeros(branch.grid_log_likelihood.shape, dtype=bool)
             for unit_vector in np.eye(is_unresolved.ndim, dtype=int):
                 neighbour_filter_mask = np.reshape([1, 0, 1], 1 + 2 * unit_vector)
@@ -752,7 +763,7 @@ class Posterior:
             Value of the bound.
         """
         border_log_likelihood = self.find_region_border_log_likelihood(probability)
-        branches = [*self.branch_by_words.values()]
+        branches = [*self.posterior_by_text_values.values()]
         for unknown_index, end_index in product(range(len(branches[0].axes)), (0, -1)):
             if any(
                 np.any(
@@ -776,7 +787,7 @@ class Posterior:
         numbers. With several choices of text values, each choice has its own grid values.
         """
         unknown_values = np.concatenate(
-            [branch.axes[unknown_index] for branch in self.branch_by_words.values()]
+            [branch.axes[unknown_index] for branch in self.posterior_by_text_values.values()]
         )
         value_masses = np.concatenate(
             [
@@ -821,7 +832,7 @@ class Posterior:
         """
         border_log_likelihood = self.find_region_border_log_likelihood(probability)
         region_parts = []
-        for words_text, branch in self.branch_by_words.items():
+        for words_text, branch in self.posterior_by_text_values.items():
             is_inside = branch.grid_log_likelihood >= border_log_likelihood
             part_numbers, n_parts = label(is_inside, structure=np.ones((3,) * is_inside.ndim))
             for part_number in range(1, n_parts + 1):
@@ -873,7 +884,7 @@ class Posterior:
             ).sum(axis=tuple(range(2, probabilities_on_grid.ndim)))
             for probabilities_on_grid in (
                 self.grid_probabilities_by_words[words_text],
-                self.branch_by_words[words_text].prior_probabilities,
+                self.posterior_by_text_values[words_text].grid_prior_probabilities,
             )
         )
         return pair_mass, pair_mass / pair_prior

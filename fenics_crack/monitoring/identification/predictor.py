@@ -37,7 +37,7 @@ from fenics_crack.monitoring.identification.model import (
 )
 from fenics_crack.monitoring.identification.nuisance import BaselineChanges
 from fenics_crack.study.key_figures import is_response_proportional_to_load
-from fenics_crack.sweep.file import STORED_MODE_NUMBERS
+from fenics_crack.sweep.file import STORED_MODE_NUMBER_RANGE
 
 # --- displacements at probes ----------------------------------------------------------------------
 
@@ -88,7 +88,7 @@ class ProbeDisplacements:
             [measurements_and_candidates[row_index].phase for row_index in self.row_indices]
         )
         self._n_measured = len(measurements_in_group)
-        self._measurement_values = np.array(
+        self._measured_displacements = np.array(
             [measurement.value for measurement in measurements_in_group]
         )
         self._inverse_deviations = 1.0 / np.array(
@@ -139,7 +139,7 @@ class ProbeDisplacements:
             Predicted displacements.
         displacement_slopes : (m, n, K)
             Slopes t_k by the harmonics: u = Re sum_k t_k U_k + c.
-        changes_by_unknown_load : (m, n, 3) [m]
+        changes_per_fitted_load_deviation : (m, n, 3) [m]
             Changes of the displacements by one prior standard deviation of A, psi and c.
         load_sizes : (m,)
             Fitted size A; 1 if no displacement in the group is measured.
@@ -166,15 +166,15 @@ class ProbeDisplacements:
         phase_induced_changes = (
             np.pi / np.sqrt(3.0) * (harmonic_orders * harmonic_terms).sum(axis=2).imag
         )
-        constant_change = 10.0 * np.max(np.abs(self._measurement_values), initial=0.0)
-        changes_by_unknown_load = np.stack(
+        constant_change = 10.0 * np.max(np.abs(self._measured_displacements), initial=0.0)
+        changes_per_fitted_load_deviation = np.stack(
             [displacements, phase_induced_changes, np.full_like(displacements, constant_change)],
             axis=2,
         )
         return (
             displacements + fitted_constant_displacements[:, None],
             displacement_slopes,
-            changes_by_unknown_load,
+            changes_per_fitted_load_deviation,
             load_sizes,
         )
 
@@ -201,7 +201,9 @@ class ProbeDisplacements:
         )
         displacements = (harmonics_at_tried_load_phases @ phase_factors.T).real  # (m, tried, n)
         weight_shares = self._inverse_deviations**2 / np.sum(self._inverse_deviations**2)
-        centred_measurements = self._measurement_values - weight_shares @ self._measurement_values
+        centred_measurements = (
+            self._measured_displacements - weight_shares @ self._measured_displacements
+        )
         centred_displacements = displacements - (displacements @ weight_shares)[..., None]
         model_times_measured_displacements = centred_displacements @ (
             weight_shares * centred_measurements
@@ -221,10 +223,11 @@ class ProbeDisplacements:
             / displacement_squared_norms[best_indices]
         )
         load_phases = tried_phases[best_phase_indices]
-        fitted_constant_displacements = weight_shares @ self._measurement_values - load_sizes * (
-            displacements[best_indices] @ weight_shares
+        fitted_constant_displacements = (
+            weight_shares @ self._measured_displacements
+            - load_sizes * (displacements[best_indices] @ weight_shares)
         )
-        constant_scale = np.max(np.abs(self._measurement_values)) + np.finfo(float).tiny
+        constant_scale = np.max(np.abs(self._measured_displacements)) + np.finfo(float).tiny
         for _ in range(4):
             harmonic_terms = (
                 model_harmonics[:, None, :]
@@ -234,7 +237,7 @@ class ProbeDisplacements:
             displacements = harmonic_terms.sum(axis=2).real
             phase_slopes = load_sizes[:, None] * (harmonic_orders * harmonic_terms).sum(axis=2).imag
             weighted_residuals = self._inverse_deviations * (
-                self._measurement_values
+                self._measured_displacements
                 - load_sizes[:, None] * displacements
                 - fitted_constant_displacements[:, None]
             )
@@ -303,7 +306,7 @@ class MeasurementPredictions:
         Predicted values; nan without a prediction.
     covariance : (m, q, q)
         Covariance of the errors of the values.
-    changes_by_unknown_load : (m, q, s)
+    changes_per_fitted_load_deviation : (m, q, s)
         Changes of the values by one standard deviation of the fitted load. The s columns are size,
         phase and constant for each group of displacements (:class:`ProbeDisplacements`).
     is_predictable : (q,) bool
@@ -312,7 +315,7 @@ class MeasurementPredictions:
 
     values: np.ndarray
     covariance: np.ndarray
-    changes_by_unknown_load: np.ndarray
+    changes_per_fitted_load_deviation: np.ndarray
     is_predictable: np.ndarray
 
 
@@ -325,7 +328,7 @@ class MeasurementPredictor:
         q measurements, then candidates.
     is_predictable : (q,) bool
         True for a measurement or candidate that the solved cases can predict.
-    baseline_changes : BaselineChanges
+    plate_changes_since_baseline : BaselineChanges
         Possible changes of the plate since it was measured without the crack.
     """
 
@@ -368,14 +371,16 @@ class MeasurementPredictor:
             speed_ratios[solved_load_index_per_feature[feature_indices[0]]]
             for feature_indices in self._feature_indices_by_row
         ]
-        self.baseline_changes = BaselineChanges(self.rows, row_speed_ratios, model.uncracked_plate)
+        self.plate_changes_since_baseline = BaselineChanges(
+            self.rows, row_speed_ratios, model.uncracked_plate
+        )
         self._higher_harmonic_masks, non_breathing_grid_by_load = (
             _find_loads_and_nodes_without_breathing(
                 model.coarse_mesh_cases, self._predicted_features, solved_load_index_per_feature
             )
         )
         self._non_breathing_probability_interpolator = (
-            RegularGridInterpolator(model.unknown_grid.axes, non_breathing_grid_by_load)
+            RegularGridInterpolator(model.grid_of_solved_cases.axes, non_breathing_grid_by_load)
             if len(non_breathing_grid_by_load)
             else None
         )
@@ -404,8 +409,10 @@ class MeasurementPredictor:
         ``temperature_factor`` does so for an unknown temperature difference.
         """
         changed_predictor = copy(self)
-        changed_predictor.baseline_changes = self.baseline_changes.with_change_deviation_factors(
-            clamp_factor, temperature_factor
+        changed_predictor.plate_changes_since_baseline = (
+            self.plate_changes_since_baseline.with_change_deviation_factors(
+                clamp_factor, temperature_factor
+            )
         )
         return changed_predictor
 
@@ -443,7 +450,9 @@ class MeasurementPredictor:
         if self._non_breathing_probability_interpolator is not None:
             non_breathing_probabilities = self._non_breathing_probability_interpolator(
                 np.clip(
-                    x, self.model.unknown_grid.lower_bounds, self.model.unknown_grid.upper_bounds
+                    x,
+                    self.model.grid_of_solved_cases.lower_bounds,
+                    self.model.grid_of_solved_cases.upper_bounds,
                 )
             )
         for is_non_breathing_by_load in itertools.product(
@@ -502,23 +511,21 @@ class MeasurementPredictor:
         feature_prediction = self._feature_predictor(x)
 
         def propagate_to_variances(covariance: np.ndarray) -> np.ndarray:
-            changed_prediction = feature_prediction._replace(
-                covariance_of_smooth_features=covariance
-            )
+            changed_prediction = feature_prediction._replace(smooth_form_covariance=covariance)
             prediction = self._predict_measurements(
                 changed_prediction, self._all_false_feature_mask, self._possible_face_states[0]
             )
             return np.diagonal(prediction.covariance, axis1=1, axis2=2)
 
         variances_without_interpolation = propagate_to_variances(
-            np.zeros_like(feature_prediction.covariance_of_smooth_features)
+            np.zeros_like(feature_prediction.smooth_form_covariance)
         )
         interpolation_variances_by_unknown = [
             propagate_to_variances(covariance) - variances_without_interpolation
             for covariance in self._feature_predictor.interpolation_covariances_per_unknown(x)
         ]
         return np.stack(interpolation_variances_by_unknown, axis=1), propagate_to_variances(
-            feature_prediction.covariance_of_smooth_features
+            feature_prediction.smooth_form_covariance
         )
 
     def _predict_measurements(
@@ -538,7 +545,7 @@ class MeasurementPredictor:
         face_state : CrackFaceState
             Motion of the crack faces at resonances.
         """
-        interpolation_smoothing_factors = feature_prediction.interpolation_smoothing_factors
+        feature_to_smooth_form_factors = feature_prediction.feature_to_smooth_form_factors
         feature_values, feature_interpolation_variances = (
             np.where(is_zero_feature, 0.0, feature_values_or_variances)
             for feature_values_or_variances in (
@@ -550,11 +557,11 @@ class MeasurementPredictor:
             self._predict_all_but_displacements(
                 feature_prediction.damping_ratio_of_points,
                 feature_values,
-                interpolation_smoothing_factors,
+                feature_to_smooth_form_factors,
                 face_state,
             )
         )
-        predictions *= self.baseline_changes.temperature_frequency_factors
+        predictions *= self.plate_changes_since_baseline.temperature_frequency_factors
         load_change_blocks = [np.zeros((*predictions.shape, 0))]
         covariance_by_omitted_harmonics = np.zeros(
             (len(feature_values), len(self.rows), len(self.rows))
@@ -574,7 +581,7 @@ class MeasurementPredictor:
                     self._predicted_features[feature_indices[0]],
                     harmonic_mean_squares,
                     feature_prediction.damping_ratio_of_points,
-                    feature_prediction.crack_split_root_and_frequencies[:, feature_indices[:1]],
+                    feature_prediction.frequency_drop_root_and_frequencies[:, feature_indices[:1]],
                 )
             )
             group_block_index = np.ix_(range(len(feature_values)), row_indices, row_indices)
@@ -586,7 +593,7 @@ class MeasurementPredictor:
             ] ** 2 * np.tensordot(omitted_harmonic_mean_squares, order_covariances, axes=1)
             prediction_slopes_by_smooth_forms[
                 :, np.array(row_indices)[:, None], feature_indices
-            ] = displacement_slopes / interpolation_smoothing_factors[:, None, feature_indices]
+            ] = displacement_slopes / feature_to_smooth_form_factors[:, None, feature_indices]
             all_row_changes_by_unknown_load = np.zeros(
                 (*predictions.shape, load_induced_changes.shape[2])
             )
@@ -599,11 +606,14 @@ class MeasurementPredictor:
         )
         covariance = covariance_by_omitted_harmonics + (
             slopes_by_real_and_imaginary_parts
-            @ feature_prediction.covariance_of_smooth_features
+            @ feature_prediction.smooth_form_covariance
             @ slopes_by_real_and_imaginary_parts.transpose(0, 2, 1)
         )
         shared_errors = np.concatenate(
-            [predictions[..., None] * self.baseline_changes.frequency_changes, common_errors],
+            [
+                predictions[..., None] * self.plate_changes_since_baseline.frequency_changes,
+                common_errors,
+            ],
             axis=2,
         )
         covariance += shared_errors @ shared_errors.transpose(0, 2, 1) + independent_variances[
@@ -619,7 +629,7 @@ class MeasurementPredictor:
         first_harmonic_feature: Feature,
         mean_squares: np.ndarray,
         damping_ratio_of_points: np.ndarray,
-        crack_split_root_and_frequencies: np.ndarray,
+        frequency_drop_root_and_frequencies: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Estimate the mean squares of harmonics above the solved orders.
 
@@ -641,8 +651,8 @@ class MeasurementPredictor:
             Mean squares of the K known harmonics of this point, at m values of the unknowns.
         damping_ratio_of_points : (m, 1)
             Damping ratios z.
-        crack_split_root_and_frequencies : (m, 1, 1 + 2 modes)
-            :attr:`SolvedCases.crack_split_root_and_frequencies` at the load.
+        frequency_drop_root_and_frequencies : (m, 1, 1 + 2 modes)
+            :attr:`SolvedCases.frequency_drop_root_and_frequencies` at the load.
 
         Returns
         -------
@@ -659,7 +669,7 @@ class MeasurementPredictor:
             coarse_mesh_cases.find_smallest_harmonic_count(load_frequency), mean_squares.shape[1]
         )
         highest_natural_frequency = np.nanmax(
-            coarse_mesh_cases.crack_split_root_and_frequencies[..., STORED_MODE_NUMBERS],
+            coarse_mesh_cases.frequency_drop_root_and_frequencies[..., STORED_MODE_NUMBER_RANGE],
             initial=0.0,
         )
         n_harmonics = min(
@@ -671,14 +681,16 @@ class MeasurementPredictor:
             for harmonic_order in range(1, n_harmonics + 1)
         ]
         squared_compliances = (
-            np.nan_to_num(crack_split_root_and_frequencies[..., STORED_MODE_NUMBERS], nan=np.inf)
+            np.nan_to_num(
+                frequency_drop_root_and_frequencies[..., STORED_MODE_NUMBER_RANGE], nan=np.inf
+            )
             ** -4.0
         )
         squares_for_unit_force_constant = np.sum(
             squared_compliances
             / np.abs(
                 find_frequency_ratios_and_pole_factors(
-                    harmonic_features, damping_ratio_of_points, crack_split_root_and_frequencies
+                    harmonic_features, damping_ratio_of_points, frequency_drop_root_and_frequencies
                 )[1]
             )
             ** 2,
@@ -702,7 +714,7 @@ class MeasurementPredictor:
         self,
         damping_ratio_of_points: np.ndarray,
         feature_values: np.ndarray,
-        interpolation_smoothing_factors: np.ndarray,
+        feature_to_smooth_form_factors: np.ndarray,
         face_state: CrackFaceState,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Predict all measurements but displacements, for a motion of the crack faces.
@@ -713,7 +725,7 @@ class MeasurementPredictor:
             Damping ratio at each of m values of the unknowns.
         feature_values : (m, f)
             Logarithms of natural frequencies [Hz], and complex harmonics [m].
-        interpolation_smoothing_factors : (m, f)
+        feature_to_smooth_form_factors : (m, f)
             Factors by which features are multiplied to become smooth forms S.
         face_state : CrackFaceState
             Motion of the crack faces.
@@ -730,7 +742,7 @@ class MeasurementPredictor:
             Variances of errors that each measurement has alone.
         """
         feature_sizes, feature_size_slopes = _compute_feature_sizes_and_slopes(
-            self._predicted_features, feature_values, interpolation_smoothing_factors
+            self._predicted_features, feature_values, feature_to_smooth_form_factors
         )
         predictions, independent_variances = np.zeros((2, len(feature_values), len(self.rows)))
         common_errors = np.zeros((*predictions.shape, 1 + N_NATURAL_MODES_PER_CRACK_STATE))
@@ -786,7 +798,7 @@ class MeasurementPredictor:
         ):
             complex_slopes[:, :, uncracked_feature_index] += (
                 complex_slopes[:, :, cracked_feature_index]
-                * interpolation_smoothing_factors[:, None, cracked_feature_index]
+                * feature_to_smooth_form_factors[:, None, cracked_feature_index]
             )
         return predictions, complex_slopes, common_errors, independent_variances
 
@@ -833,7 +845,7 @@ def _find_loads_and_nodes_without_breathing(
         if is_node_without_breathing.any() and not is_node_without_breathing.all():
             higher_harmonic_masks_by_load.append(is_higher_harmonic_of_load)
             non_breathing_grids_by_load.append(
-                is_node_without_breathing.reshape(solved_cases.unknown_grid.shape)
+                is_node_without_breathing.reshape(solved_cases.grid_of_solved_cases.shape)
             )
     return higher_harmonic_masks_by_load, np.moveaxis(
         np.array(non_breathing_grids_by_load, dtype=float), 0, -1
@@ -852,7 +864,7 @@ def _list_possible_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...
         return (BREATHING_FACE_STATE,)
     relative_resonance_deviation = model.identify_table.resonance_deviation
     closed_time_share_of_cases = model.coarse_mesh_cases.sweep_result["closed_share"][
-        model.coarse_mesh_cases.word_selection_index
+        model.coarse_mesh_cases.sweep_slices_for_text_values
     ]
     smallest_closed_time_share, largest_closed_time_share = (
         minimum_or_maximum_function.reduce(closed_time_share_of_cases, axis=None)
@@ -888,7 +900,7 @@ def _list_possible_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...
 def _compute_feature_sizes_and_slopes(
     features: Sequence[Feature],
     feature_values: np.ndarray,
-    interpolation_smoothing_factors: np.ndarray,
+    feature_to_smooth_form_factors: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return sizes of f features, and slopes of the sizes by smooth forms: (m, f) each.
 
@@ -900,7 +912,7 @@ def _compute_feature_sizes_and_slopes(
         f natural frequencies and harmonics.
     feature_values : (m, f)
         Logarithms of natural frequencies [Hz], and complex harmonics [m].
-    interpolation_smoothing_factors : (m, f)
+    feature_to_smooth_form_factors : (m, f)
         Factors by which features are multiplied to become smooth forms.
     """
     is_natural_frequency = np.array([feature.is_natural_frequency for feature in features])
@@ -913,12 +925,12 @@ def _compute_feature_sizes_and_slopes(
                 np.conj(feature_values) / harmonic_feature_amplitudes,
                 1.0,
             )
-            / interpolation_smoothing_factors
+            / feature_to_smooth_form_factors
         )
     return (
         np.where(is_natural_frequency, frequencies, harmonic_feature_amplitudes),
         np.where(
-            is_natural_frequency, frequencies / interpolation_smoothing_factors, amplitude_slopes
+            is_natural_frequency, frequencies / feature_to_smooth_form_factors, amplitude_slopes
         ),
     )
 

@@ -108,7 +108,7 @@ def report_of_identification(identify_output: IdentificationOutput) -> Report:
             ),
         ],
         warnings=identification_summary["warnings"],
-        page_tables={
+        html_page_tables={
             "Unknowns": estimate_table,
             "Measurements and predictions of the estimate": Table(
                 MEASUREMENT_FIT_COLUMN_NAMES, identification_summary["measurements"]

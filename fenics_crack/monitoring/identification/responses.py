@@ -43,7 +43,9 @@ NUMPY_TYPE_BY_COMPLEX_NUMBER_CODE = {5: "f4", 6: "f8"}
 
 5: single precision, 6: double precision.
 """
-FORTRAN_NUMBER_PATTERN = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?")
+NUMBER_WITH_OPTIONAL_E_PATTERN = re.compile(
+    rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?"
+)
 """Pattern of a number in text; Fortran leaves out the E before exponents of three digits."""
 TIME_DERIVATIVE_ORDER_BY_MOTION_CODE = {8: 0, 11: 1, 12: 2}
 """Time derivatives of the displacement by the file's code for the motion.
@@ -142,11 +144,11 @@ def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[b
 
 def _parse_fixed_width_numbers(number_bytes: bytes) -> np.ndarray:
     """Parse text with numbers of fixed width, with or without blanks between: (n,)."""
-    if invalid_words := FORTRAN_NUMBER_PATTERN.sub(b" ", number_bytes).split():
+    if invalid_words := NUMBER_WITH_OPTIONAL_E_PATTERN.sub(b" ", number_bytes).split():
         raise ValueError(f"it has {invalid_words[0][:20].decode('latin-1')!r} instead of a number")
     number_words = [
         re.sub(rb"(?<=[0-9.])([+-])", rb"E\1", number_word)
-        for number_word in FORTRAN_NUMBER_PATTERN.findall(number_bytes)
+        for number_word in NUMBER_WITH_OPTIONAL_E_PATTERN.findall(number_bytes)
     ]
     return np.array(number_words, dtype=float)
 

@@ -19,7 +19,7 @@ from fenics_crack.basics.tables import Table, Tabular, format_count
 from fenics_crack.files.store import IDENTIFICATION_FILE_KIND, write_result_file
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
 from fenics_crack.monitoring.identification.nuisance import CRACK_SIZE_KEYS
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_VALUES
 from fenics_crack.monitoring.identification.posterior import Posterior, PosteriorForTextValues
 from fenics_crack.monitoring.identification.worth import (
     Worth,
@@ -91,7 +91,7 @@ class Identification(Tabular):
     def _identify_table(self) -> Identify:
         """Return the table ``[identify]``, with the default of temperature_deviation filled in."""
         return next(
-            iter(self.posterior.branch_by_words.values())
+            iter(self.posterior.posterior_by_text_values.values())
         ).likelihood.predictor.model.uncracked_plate.identify_table
 
     @cached_property
@@ -103,7 +103,7 @@ class Identification(Tabular):
         (:attr:`Options.min_part_probability`) are left out.
         """
         return self.posterior.find_region_parts(
-            self._identify_table.confidence, IDENTIFICATION_SETTINGS.min_part_probability
+            self._identify_table.confidence, IDENTIFICATION_VALUES.min_part_probability
         )
 
     @cached_property
@@ -119,7 +119,7 @@ class Identification(Tabular):
             if self._region_parts
             else self.posterior.best_words_and_unknowns
         )
-        return self.posterior.branch_by_words[words_text], x
+        return self.posterior.posterior_by_text_values[words_text], x
 
     @property
     def estimate(self) -> dict[str, Any]:
@@ -264,9 +264,12 @@ class Identification(Tabular):
         Each crack is a dict of the unknowns' values by key; the most probable crack comes first. If
         there are several cracks, the measurements cannot distinguish them.
         """
-        branch_by_words = self.posterior.branch_by_words
+        posterior_by_text_values = self.posterior.posterior_by_text_values
         return [
-            (branch_by_words[words_text].get_unknown_values_by_key(part_middle), part_probability)
+            (
+                posterior_by_text_values[words_text].get_unknown_values_by_key(part_middle),
+                part_probability,
+            )
             for words_text, part_middle, part_probability in self._region_parts
         ]
 
@@ -285,7 +288,7 @@ class Identification(Tabular):
         InputError
             An unknown is missing.
         """
-        for branch in self.posterior.branch_by_words.values():
+        for branch in self.posterior.posterior_by_text_values.values():
             model = branch.likelihood.predictor.model
             missing_keys = [
                 key
@@ -312,7 +315,7 @@ class Identification(Tabular):
         self,
         measurements: Sequence[Measurement] | None = None,
         *,
-        frequency_deviation: float = IDENTIFICATION_SETTINGS.relative_frequency_deviation_in_advice,
+        frequency_deviation: float = IDENTIFICATION_VALUES.relative_frequency_deviation_in_advice,
         harmonic_deviation: float = 0.05,
     ) -> Worth:
         """Rank candidates for one more measurement by the information that each adds.
@@ -352,7 +355,7 @@ class Identification(Tabular):
         """
         data_by_name: dict[str, Any] = {"log_bayes_factor": self.log_bayes_factor}
         for branch_number, (words_text, branch) in enumerate(
-            self.posterior.branch_by_words.items()
+            self.posterior.posterior_by_text_values.items()
         ):
             data_by_name[f"words_{branch_number}"] = words_text
             data_by_name[f"log_likelihood_{branch_number}"] = branch.grid_log_likelihood
@@ -534,10 +537,7 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
     chi_square, p_value = identification.misfit_chi_square_and_p_value
     rows, warning_texts = identification.measurements.rows, []
     required_p_value = 1.0 - identification.priors["confidence"]
-    if (
-        identification.posterior.unresolved_probability
-        > IDENTIFICATION_SETTINGS.min_part_probability
-    ):
+    if identification.posterior.unresolved_probability > IDENTIFICATION_VALUES.min_part_probability:
         warning_texts.append(
             "the grid does not resolve "
             f"{identification.posterior.unresolved_probability:.0%} of the probability: the "
@@ -732,8 +732,8 @@ def _describe_intervals(identification: Identification) -> str:
     smallest solved size.
     """
     posterior = identification.posterior
-    branch = posterior.branch_by_words[posterior.best_words_and_unknowns[0]]
-    lower_bounds = branch.likelihood.predictor.model.unknown_grid.lower_bounds
+    branch = posterior.posterior_by_text_values[posterior.best_words_and_unknowns[0]]
+    lower_bounds = branch.likelihood.predictor.model.grid_of_solved_cases.lower_bounds
     interval_texts = []
     for (key, (lower_end, upper_end)), search_lower_bound in zip(
         identification.intervals.items(), lower_bounds, strict=True

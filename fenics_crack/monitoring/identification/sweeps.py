@@ -36,7 +36,7 @@ from fenics_crack.monitoring.identification.model import (
     has_load_independent_motion_shape,
 )
 from fenics_crack.monitoring.identification.nuisance import UncrackedPlate
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_VALUES
 from fenics_crack.monitoring.identification.posterior import build_first_grid
 from fenics_crack.monitoring.identification.predictor import MeasurementPredictor
 from fenics_crack.monitoring.identification.result import Identification
@@ -82,9 +82,9 @@ def find_vibration_ratio_to_solved_cracks(
     first_harmonic_measurement = Measurement(
         "harmonic_1", 1.0, 1.0, frequency=load_frequency, point=point_name
     )
-    grid_points = build_first_grid(model.unknown_grid).nodes
+    trial_points = build_first_grid(model.grid_of_solved_cases).nodes
     interpolated_amplitudes = np.nan_to_num(
-        MeasurementPredictor(model, [first_harmonic_measurement])(grid_points).values[:, 0]
+        MeasurementPredictor(model, [first_harmonic_measurement])(trial_points).values[:, 0]
     )
     largest_solved_amplitude = np.fmax.reduce(
         np.abs(model.coarse_mesh_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
@@ -95,7 +95,7 @@ def find_vibration_ratio_to_solved_cracks(
         if largest_solved_amplitude > 0.0
         else 0.0
     )
-    return vibration_ratio, grid_points[largest_index]
+    return vibration_ratio, trial_points[largest_index]
 
 
 # --- the sweeps of the forward model --------------------------------------------------------------
@@ -111,17 +111,17 @@ class SolvedForwardModels:
         Scene with its table ``[identify]``.
     axes : sequence of Axis
         Unknowns with their solved values.
-    cracked_model_by_words : dict of str to ForwardModel
+    cracked_model_by_text_values : dict of str to ForwardModel
         Model with the crack for each choice of text values, as "right" for crack.edge. Keys are the
         values joined with ", "; "" if all unknowns are numbers.
-    uncracked_model_by_words : dict of str to ForwardModel
+    uncracked_model_by_text_values : dict of str to ForwardModel
         Models without the crack; empty if the crack cannot be removed.
     """
 
     scene: Scene
     axes: Sequence[Axis]
-    cracked_model_by_words: dict[str, ForwardModel]
-    uncracked_model_by_words: dict[str, ForwardModel]
+    cracked_model_by_text_values: dict[str, ForwardModel]
+    uncracked_model_by_text_values: dict[str, ForwardModel]
 
 
 def solve_uncracked_plate(scene: Scene, comm: MPI.Comm) -> UncrackedPlate:
@@ -205,7 +205,7 @@ def solve_forward(
     )
     unknown_axes, refinements_to_apply = list(identify_table.unknown), [*refined_axes]
     sweep_result = sweeper.run_or_read_sweep(
-        "forward", sweeper.coarse_scene, [*sweeper.mesh_file_axes, *unknown_axes]
+        "forward", sweeper.scene_with_mesh_of_all_cases, [*sweeper.mesh_file_axes, *unknown_axes]
     )
     while True:
         model_by_words = _build_models(
@@ -232,7 +232,9 @@ def solve_forward(
         axis for axis in unknown_axes if not axis.key.startswith(("crack.", "contact."))
     ]
     uncracked_sweep = sweeper.run_or_read_sweep(
-        "uncracked", sweeper.coarse_scene.replace(crack_removal_value_by_key), uncracked_axes
+        "uncracked",
+        sweeper.scene_with_mesh_of_all_cases.replace(crack_removal_value_by_key),
+        uncracked_axes,
     )
     uncracked_sweeps = sweeper.run_check_sweeps(
         "uncracked", crack_removal_value_by_key, uncracked_axes, uncracked_sweep
@@ -251,7 +253,7 @@ class _ForwardSweeper:
 
     Attributes
     ----------
-    coarse_scene : Scene
+    scene_with_mesh_of_all_cases : Scene
         Scene with the mesh for all cases.
     fine_scene : Scene or None
         Scene with a finer mesh for a few cases; None without a finer mesh.
@@ -269,7 +271,7 @@ class _ForwardSweeper:
         True to show progress bars.
     """
 
-    coarse_scene: Scene
+    scene_with_mesh_of_all_cases: Scene
     fine_scene: Scene | None
     identify_table: Identify
     swept_loads: SweptLoads
@@ -298,7 +300,7 @@ class _ForwardSweeper:
         StoppedError
             Ctrl-C was pressed.
         """
-        swept_axes = (*unknown_axes, self.swept_loads.sweep_axis)
+        swept_axes = (*unknown_axes, self.swept_loads.frequency_or_rpm_axis)
         swept_scene = replace(case_scene, sweep=Sweep(over=swept_axes))
         file_name_digest = hashlib.sha256(
             f"{scene_text(swept_scene)}{self.frequency_only_load_indices or ''}".encode()
@@ -346,7 +348,9 @@ class _ForwardSweeper:
             if axis_value not in added_axes[axis_index].values
         )
         added_axes[axis_index] = Axis(refined_axis.key, axis_values_to_solve)
-        added_sweep = self.run_or_read_sweep("forward", self.coarse_scene, added_axes)
+        added_sweep = self.run_or_read_sweep(
+            "forward", self.scene_with_mesh_of_all_cases, added_axes
+        )
         return _join_sweeps(sweep_result, added_sweep, axis_index)
 
     def run_check_sweeps(
@@ -398,7 +402,7 @@ class _ForwardSweeper:
             ]
             halfway_sweep = self.run_or_read_sweep(
                 sweep_name,
-                self.coarse_scene.replace(scene_changes),
+                self.scene_with_mesh_of_all_cases.replace(scene_changes),
                 _thin_axes(halfway_axes, n_kept_values),
             )
         return all_cases_sweep, finer_sweep, halfway_sweep
@@ -435,7 +439,7 @@ def _count_allowed_cases(scene: Scene) -> int:
     that ``[identify.unknown]`` requests.
     """
     unknown_axes = scene.given("identify").unknown
-    return IDENTIFICATION_SETTINGS.max_solved_to_requested_case_ratio * math.prod(
+    return IDENTIFICATION_VALUES.max_solved_to_requested_case_ratio * math.prod(
         len(unknown_axis.values) for unknown_axis in unknown_axes
     )
 
@@ -483,7 +487,7 @@ def _refine_axis_at_resonance_or_none(
             ratio_model_load_point_tuple[0]
             for ratio_model_load_point_tuple in ratios_models_loads_points
         )
-        <= IDENTIFICATION_SETTINGS.max_vibration_ratio_to_solved_cracks
+        <= IDENTIFICATION_VALUES.max_unsolved_to_solved_vibration
     ):
         return None
     vibration_ratio, model, load_frequency, point_name = max(
@@ -492,7 +496,7 @@ def _refine_axis_at_resonance_or_none(
     )
     log_amplitudes = np.log(
         np.abs(model.coarse_mesh_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
-    ).reshape(model.unknown_grid.shape)
+    ).reshape(model.grid_of_solved_cases.shape)
     largest_log_amplitude_step_by_key = {
         key: np.fmax.reduce(np.abs(np.diff(log_amplitudes, axis=axis_index)), axis=None)
         for axis_index, key in enumerate(model.unknown_keys)
@@ -511,9 +515,7 @@ def _refine_axis_at_resonance_or_none(
             _count_allowed_cases(scene) * n_solved_axis_values // n_cases - 1
         ) // (n_solved_axis_values - 1)
         n_parts_per_interval = min(
-            math.ceil(
-                vibration_ratio / IDENTIFICATION_SETTINGS.max_vibration_ratio_to_solved_cracks
-            ),
+            math.ceil(vibration_ratio / IDENTIFICATION_VALUES.max_unsolved_to_solved_vibration),
             max_parts_per_interval,
         )
         if n_parts_per_interval > 1:

@@ -26,7 +26,7 @@ from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import Tabular
 from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.model import ForwardModel
-from fenics_crack.monitoring.identification.options import IDENTIFICATION_SETTINGS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_VALUES
 from fenics_crack.monitoring.identification.posterior import (
     Likelihood,
     add_uniform_prior_information,
@@ -38,7 +38,7 @@ from fenics_crack.monitoring.identification.predictor import (
 )
 from fenics_crack.scene.keys import unit_of_key
 from fenics_crack.scene.words import key_in_words, value_in_words
-from fenics_crack.sweep.file import STORED_MODE_NUMBERS
+from fenics_crack.sweep.file import STORED_MODE_NUMBER_RANGE
 
 
 @keep_old_attribute_names(
@@ -237,7 +237,7 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
     }
     advice_texts, relative_deviation = (
         [],
-        IDENTIFICATION_SETTINGS.relative_frequency_deviation_in_advice,
+        IDENTIFICATION_VALUES.relative_frequency_deviation_in_advice,
     )
     if model.coarse_mesh_cases.uncracked_cases is not None and (
         modes_without_uncracked_frequency := sorted(measured_modes - calibrated_modes)
@@ -369,7 +369,7 @@ def _compute_information_and_deviations(
         selected_slopes.T @ np.linalg.solve(selected_measurement_covariance, selected_slopes)
     )
     deviations_of_equivalent_crack = np.sqrt(np.diag(np.linalg.inv(fisher_information))) * (
-        model.unknown_grid.upper_bounds - model.unknown_grid.lower_bounds
+        model.grid_of_solved_cases.upper_bounds - model.grid_of_solved_cases.lower_bounds
     )
     deviations_of_real_crack = np.hypot(
         deviations_of_equivalent_crack, model.compute_crack_geometry_deviations(x[None])[0]
@@ -397,7 +397,7 @@ def _list_default_candidates(
     candidates = [
         Measurement(quantity_name, 1.0, 1.0, mode)
         for quantity_name in quantity_names
-        for mode in STORED_MODE_NUMBERS
+        for mode in STORED_MODE_NUMBER_RANGE
     ]
     point_names = ["", *coarse_mesh_cases.sweep_result.scene.label_by_displacement_name]
     candidates += [
@@ -437,15 +437,17 @@ def _compute_scaled_covariance_and_slopes(
         Change of each prediction over e_i, per change of an unknown over its range; 0 without a
         prediction.
     """
-    prediction, unknown_grid = predictor(x[None]), predictor.model.unknown_grid
+    prediction, grid_of_solved_cases = predictor(x[None]), predictor.model.grid_of_solved_cases
     scaled_measurement_covariance = compute_scaled_covariance(
         prediction, np.nan_to_num(prediction.values[0]), deviations
     )[0]
-    difference_step_matrix = np.diag(1e-3 * (unknown_grid.upper_bounds - unknown_grid.lower_bounds))
-    upper_points = np.minimum(x + difference_step_matrix, unknown_grid.upper_bounds)
-    lower_points = np.maximum(x - difference_step_matrix, unknown_grid.lower_bounds)
+    difference_step_matrix = np.diag(
+        1e-3 * (grid_of_solved_cases.upper_bounds - grid_of_solved_cases.lower_bounds)
+    )
+    upper_points = np.minimum(x + difference_step_matrix, grid_of_solved_cases.upper_bounds)
+    lower_points = np.maximum(x - difference_step_matrix, grid_of_solved_cases.lower_bounds)
     difference_steps_over_ranges = np.diag(upper_points - lower_points) / (
-        unknown_grid.upper_bounds - unknown_grid.lower_bounds
+        grid_of_solved_cases.upper_bounds - grid_of_solved_cases.lower_bounds
     )
     value_differences = predictor(upper_points).values - predictor(lower_points).values
     scaled_slopes = (value_differences / difference_steps_over_ranges[:, None]).T / deviations[

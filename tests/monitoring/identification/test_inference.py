@@ -125,12 +125,15 @@ def test_what_failed_between_others() -> None:
         )
         assert (
             interpolation.has_enough_known_nodes.all()
-            and interpolation.has_only_inner_gaps.all() == (0 < lost_node < 7)
+            and interpolation.are_failed_cases_between_known.all() == (0 < lost_node < 7)
         )
         node = cube.nodes[[lost_node]]
         true_error = abs(interpolation.interpolate(node) - values[lost_node]).item()
         stated_error = np.sqrt(np.sum(interpolation.list_weighted_node_errors(node) ** 2)).item()
-        assert true_error < 3.0 * stated_error or not interpolation.has_only_inner_gaps.all()
+        assert (
+            true_error < 3.0 * stated_error
+            or not interpolation.are_failed_cases_between_known.all()
+        )
     for count in (20, 21):
         node_values = np.where(np.arange(42)[:, None] < count, 1.0, np.nan)
         assert Interpolation(SQUARE, node_values).has_enough_known_nodes.all() == (count == 21)
@@ -141,7 +144,7 @@ def test_what_failed_between_others() -> None:
     holes = np.ones((42, 3))
     holes[[0, 3], [0, 1]] = np.nan  # a corner, and a place on a side
     np.testing.assert_array_equal(
-        Interpolation(SQUARE, holes).has_only_inner_gaps, [False, True, True]
+        Interpolation(SQUARE, holes).are_failed_cases_between_known, [False, True, True]
     )
 
 
@@ -151,7 +154,7 @@ class Linear:
 
     matrix: np.ndarray
     offset: np.ndarray
-    unknown_grid: UnknownGrid
+    grid_of_solved_cases: UnknownGrid
     unknown_keys: tuple[str, ...] = ("crack.length", "crack.height")
 
     @property
