@@ -105,7 +105,7 @@ class Stability(Described):
         return f"{self.verdict}{reason_text}, {multiplier_text}, uncertainty {self.uncertainty:.2g}"
 
 
-@keep_old_attribute_names(yield_records_of_row_products="yield_motion_records", still="is_still")
+@keep_old_attribute_names(still="is_still")
 @dataclass(frozen=True, repr=False)
 class PeriodicSolution(PeriodicMotion, ObservedMotion, Described):
     """Steady vibration with contact, as a Fourier series.

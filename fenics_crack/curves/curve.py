@@ -205,11 +205,7 @@ class CurvePoint:
     bifurcations: Sequence[tuple[str, float]] = field(default_factory=tuple)
 
 
-@keep_old_attribute_names(
-    yield_records_of_row_products="yield_motion_records",
-    resolution="max_missed_window_width",
-    undecided="is_undecided",
-)
+@keep_old_attribute_names(resolution="max_missed_window_width", undecided="is_undecided")
 @dataclass(frozen=True, repr=False, kw_only=True)
 class ResponseCurve(ObservedMotion, Tabular):
     """Solutions along a curve, in order: of harmonic balance, or exact periodic orbits.

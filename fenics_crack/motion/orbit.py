@@ -132,7 +132,6 @@ class OrbitPrediction(NamedTuple):
 
 
 @keep_old_attribute_names(
-    yield_records_of_row_products="yield_motion_records",
     flows="n_periods_integrated_by_newton",
     stuck="always_stuck_pair_indices",
     work="work_of_load_and_losses",

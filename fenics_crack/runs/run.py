@@ -41,7 +41,6 @@ class ResultAttribute:
 
 
 @keep_old_attribute_names(
-    yield_records_of_row_products="yield_motion_records",
     distance="distance_to_steady_motion",
     resolution="max_missed_window_width",
     slow_gap_coefficients="gap_series_without_static_part",

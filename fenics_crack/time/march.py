@@ -223,9 +223,7 @@ class MarchRequest:
         return is_rigid(self.contact)
 
 
-@keep_old_attribute_names(
-    yield_records_of_row_products="yield_motion_records", distance="distance_to_steady_motion"
-)
+@keep_old_attribute_names(distance="distance_to_steady_motion")
 @dataclass(frozen=True, repr=False)
 class TimeHistory(ObservedMotion, Tabular):
     """Result of a direct time integration: the last load periods of the motion.
