@@ -543,12 +543,12 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
         )
 
     if needs_mesh(scene):
-        for changed_key, changed_value in changes.items():
+        for changed_key, new_value_of_key in changes.items():
             with suppress(InputError):  # keys that cannot change without another key
-                if needs_mesh(file_scene.replace({changed_key: changed_value})):
+                if needs_mesh(file_scene.replace({changed_key: new_value_of_key})):
                     break
         raise InputError(
-            changed_key, changed_value, f"as in {stored_file.path}: {CHANGEABLE_KEYS_TEXT}"
+            changed_key, new_value_of_key, f"as in {stored_file.path}: {CHANGEABLE_KEYS_TEXT}"
         )
     quantities_that_need_matrices = [
         quantity_name
