@@ -371,7 +371,7 @@ class Problem:
         """Return the problem with a default weight if its rigid law is solved pair by pair.
 
         The weight [N/m] stands for a contact stiffness. It follows from the static compliance in
-        ``compliance_model`` (:func:`default_projection_weight`). Other problems, and problems with
+        ``compliance_model`` (``default_projection_weight``). Other problems, and problems with
         a given weight, are returned unchanged.
         """
         contact_law = self.contact

@@ -439,7 +439,7 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
 
     - all values in :attr:`StressIntensity.numbers`,
     - ``K_I while closed`` [Pa m^0.5], the error of K_I at a closed front
-      (:attr:`StressIntensity.closed_front_errors`),
+      (``StressIntensity.closed_front_errors``),
     - ``ahead``, a unit vector: the direction in which the crack would grow straight on.
 
     Examples

@@ -124,7 +124,7 @@ class Verification(SavableResult):
             Cause of error, for example "mesh".
         part_or_reason : PartOrReason
             Counts and convergence by quantity name; or the reason for no part, as text. For
-            :data:`OMITTABLE_ERROR_CAUSES` the reason is added to ``unknown``. For any further cause
+            ``OMITTABLE_ERROR_CAUSES`` the reason is added to ``unknown``. For any further cause
             the reason is added to ``absent``, since the cause contributes nothing. An empty text
             adds nothing.
         """

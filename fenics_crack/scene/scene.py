@@ -211,7 +211,7 @@ class Scene(SceneTables):
         ------
         InputError
             The table is missing. Or ``harmonic_balance.form`` is "block", and the command for the
-            table solves many times (:data:`MANY_SOLUTION_TABLE_NAMES`).
+            table solves many times (``MANY_SOLUTION_TABLE_NAMES``).
         """
         if getattr(self, name) is None:
             raise missing_table_error(name, ", which this command needs")

@@ -83,7 +83,7 @@ class MarchRequest:
         Stop early if the motion's relative change from one period to the next falls below this
         limit. 0: never. The change is the larger of two: in the gaps, and in the displacement at
         the load. Each is divided by the size of its oscillation.
-        :meth:`TimeHistory.distance_to_steady_motion` estimates the remaining distance.
+        ``TimeHistory.distance_to_steady_motion`` estimates the remaining distance.
     record_periods : int, optional
         Number of last periods to keep. Default: all.
     dofs : sequence of int, optional
