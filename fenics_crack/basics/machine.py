@@ -9,6 +9,10 @@ and MUMPS keep their state in global variables: with two Python threads in them,
 Dense matrices are small here, also within these libraries. OpenBLAS's threads would wait for each
 other longer than they work, and spin meanwhile. So would four threads of OpenMP, in which CHOLMOD
 assembles each small block, whatever OMP_NUM_THREADS says.
+
+OpenBLAS up to 0.3.24, as in Debian 12, does not know Intel's processors since 2022. It would run
+the code for a processor of 2004, several times slower (github.com/OpenMathLib/OpenBLAS, issue
+4267).
 """
 
 from __future__ import annotations
@@ -32,6 +36,14 @@ from fenics_crack.basics.errors import DISK_FULL_ERROR_NUMBERS, InputError
 
 THREAD_COUNT_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
 """Environment variables that set the number of OpenBLAS's threads."""
+OPENBLAS_CORE_TYPE_AND_CPU_FLAGS = (
+    ("SkylakeX", {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"}),
+    ("Haswell", {"avx2", "fma"}),
+)
+"""OpenBLAS's names of Intel processors, and the flags that a processor needs for their code.
+
+The faster code comes first. The flags are those in Linux's file ``/proc/cpuinfo``.
+"""
 MPIRUN_ENVIRONMENT_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Environment variables that mpirun sets for each process before MPI is started."""
 MODULES_REQUIRING_DEBIAN_VERSION = ("numpy", "mpi4py")
@@ -199,6 +211,42 @@ def foreign_launcher_error(launcher_description: str, mpi_library: str) -> Input
 def is_started_by_mpirun() -> bool:
     """Return True if mpirun has started this process."""
     return any(name in os.environ for name in MPIRUN_ENVIRONMENT_VARIABLES)
+
+
+def choose_openblas_core_type(
+    cpu_info_file: Path = Path("/proc/cpuinfo"),
+) -> None:
+    """Set the variable OPENBLAS_CORETYPE for Intel's processors, unless the user has set it.
+
+    OpenBLAS reads the variable when it is loaded; some versions do not know newer processors. For
+    processors without the flags in :data:`OPENBLAS_CORE_TYPE_AND_CPU_FLAGS`, OpenBLAS chooses.
+
+    Parameters
+    ----------
+    cpu_info_file : Path
+        File in which Linux describes the processors.
+    """
+    try:
+        with cpu_info_file.open() as file:
+            cpu_info_text = file.read(2**13)  # more than the first processor's lines
+    except OSError:
+        return
+    flags_match = re.search(r"^flags\s*: (.*)$", cpu_info_text, re.MULTILINE)
+    if "GenuineIntel" not in cpu_info_text or not flags_match:
+        return
+    for core_type, needed_flags in OPENBLAS_CORE_TYPE_AND_CPU_FLAGS:
+        if needed_flags <= {*flags_match[1].split()}:
+            os.environ.setdefault("OPENBLAS_CORETYPE", core_type)
+            return
+
+
+def choose_single_openblas_thread() -> None:
+    """Set the variable OPENBLAS_NUM_THREADS to 1, unless the user has chosen a number of threads.
+
+    For the program, before OpenBLAS is loaded: threads that only wait are then not even started.
+    """
+    if not any(map(os.environ.get, THREAD_COUNT_VARIABLES)):
+        os.environ[THREAD_COUNT_VARIABLES[1]] = "1"
 
 
 @contextmanager

@@ -97,6 +97,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
     """
     gc.set_threshold(10_000)  # each search visits over 100,000 lasting objects: search less often
     atexit.register(gc.freeze)  # no search at exit: the system frees all memory
+    machine.choose_single_openblas_thread()
     if any(
         os.environ.get(mpirun_variable_name, "0") != "0"
         for mpirun_variable_name in machine.MPIRUN_ENVIRONMENT_VARIABLES
