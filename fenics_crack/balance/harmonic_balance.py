@@ -713,7 +713,11 @@ def _search_orbit_from_solutions(
             orbit = initial.orbit
             if initial.structure is problem.structure and orbit.subharmonic == problem.subharmonic:
                 yield orbit.period_samples.whole_states[SLICE_OF_SAMPLES_AT_SEGMENT_STARTS]
-            elif flow.n_modes > orbit.flow.n_modes and initial.structure.has_massless_crack_faces:
+            elif (
+                flow.n_modes > orbit.flow.n_modes
+                and initial.structure.has_massless_crack_faces
+                and bool(flow.friction_law) == bool(orbit.flow.friction_law)
+            ):  # states with friction have slider positions, too
                 yield _states_with_more_modes(flow, initial.assessment, orbit)
         for n_harmonics_per_load_period in SearchOptions.guess_harmonic_counts:
             start_problem = problem.with_harmonics(

@@ -213,9 +213,7 @@ def is_started_by_mpirun() -> bool:
     return any(name in os.environ for name in MPIRUN_ENVIRONMENT_VARIABLES)
 
 
-def choose_openblas_core_type(
-    cpu_info_file: Path = Path("/proc/cpuinfo"),
-) -> None:
+def choose_openblas_core_type(cpu_info_file: Path = Path("/proc/cpuinfo")) -> None:
     """Set the variable OPENBLAS_CORETYPE for Intel's processors, unless the user has set it.
 
     OpenBLAS reads the variable when it is loaded; some versions do not know newer processors. For

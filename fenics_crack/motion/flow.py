@@ -578,6 +578,7 @@ class ContactFlow(ModalFlow):
             The motion exceeds its budget, or is not finite.
         """
         states = as_doubles(states)
+        assert states.shape[1] == self.state_size
         end_states, cumulative_interval_counts = (
             np.empty_like(states),
             np.empty(len(states), dtype=np.intc),
