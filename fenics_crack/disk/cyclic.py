@@ -33,7 +33,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.fft
 import scipy.linalg
 import scipy.sparse as sparse
 from mpi4py import MPI
@@ -818,7 +817,7 @@ def make_cyclic_basis(
         omega_arrays, shape_matrices, bond_forces, side_motion_waves = zip(
             *results_of_diameters, strict=True
         )
-        side_motions_by_sector = scipy.fft.irfft(side_motion_waves, sector.n_sectors, axis=0)
+        side_motions_by_sector = np.fft.irfft(side_motion_waves, sector.n_sectors, axis=0)
         face_stiffness_decrease += (
             left_forces.T @ side_motions_by_sector[0] + right_forces.T @ side_motions_by_sector[1]
         )

@@ -117,6 +117,7 @@ from fenics_crack.study.observer import (
 )
 from fenics_crack.study.prepare import SINGLE_COMPUTATION_FAILURES, Study, prepare, reduce_study
 from fenics_crack.study.resonance import (
+    N_RESONANCE_SEARCH_MODES,
     UNSOUGHT_RESONANCE,
     ResonanceUnderLoad,
     find_study_resonance,
@@ -279,7 +280,13 @@ def estimate_frequency_mesh_errors(
             return coarse_study_or_reason
         coarse_study, element_counts, length_ratio = coarse_study_or_reason
         n_modes = max(map(len, omega_by_kind.values()))
-        coarse_omega_by_kind = {"open": solve_modes(coarse_study.structure, n_modes).omega}
+        n_computed_modes = n_modes  # those of the resonance search, at once
+        if load_resonance.numbers:
+            n_computed_modes = min(
+                max(n_modes, N_RESONANCE_SEARCH_MODES), coarse_study.structure.n_modes
+            )
+        coarse_modes = solve_modes(coarse_study.structure, n_computed_modes)
+        coarse_omega_by_kind = {"open": coarse_modes.omega[:n_modes]}
         if "tied" in omega_by_kind:
             coarse_omega_by_kind["tied"] = solve_bonded_modes(coarse_study.structure, n_modes).omega
         coarse_mesh_values = name_frequencies(coarse_omega_by_kind)

@@ -128,11 +128,13 @@ class Receptance:
         return np.asarray(self.inertia + np.sum(modal_flexibility**2, axis=1))
 
 
-def receptance(structure: Structure, n_modes: int) -> Receptance:
+def receptance(
+    structure: Structure, n_modes: int, stiffness_factor: Factor | None = None
+) -> Receptance:
     """Return the receptance of a structure with at least ``n_modes`` modes (collective).
 
     Load, clearance and damping are those before the structure was varied. The receptance is kept
-    for later requests.
+    for later requests. ``stiffness_factor`` is the factor of the stiffness, if known.
 
     Raises
     ------
@@ -151,7 +153,10 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
         check_has_matrices(structure, f"{n_modes} modes")
         known_receptances[:] = shared_receptances[:] = [
             _extend_receptance(
-                structure, known_receptances[0] if known_receptances else None, n_modes
+                structure,
+                known_receptances[0] if known_receptances else None,
+                n_modes,
+                stiffness_factor,
             )
         ]
     return known_receptances[0]
@@ -271,15 +276,23 @@ def find_loaded_row_mask(
 
 
 def _extend_receptance(
-    structure: Structure, known_receptance: Receptance | None, n_modes: int
+    structure: Structure,
+    known_receptance: Receptance | None,
+    n_modes: int,
+    stiffness_factor: Factor | None,
 ) -> Receptance:
     """Compute a receptance with ``n_modes`` modes (collective).
 
     If ``known_receptance`` with fewer modes is given, the static compliance is taken from there,
     less the new modes' part. If ``known_receptance`` is None, static responses are computed.
+    ``stiffness_factor`` is the factor of the stiffness, if known.
     """
     begin_stage("factorisation of the stiffness")
-    with Factor(structure.stiffness, definite=True) as factored_stiffness:
+    with (
+        Factor(structure.stiffness, definite=True)
+        if stiffness_factor is None
+        else nullcontext(stiffness_factor)
+    ) as factored_stiffness:
         modes = solve_modes_with_factor(factored_stiffness, structure, n_modes)
         squares, has_all_modes = modes.omega**2, n_modes == structure.n_dofs
         flexibility = ResidualFlexibility(

@@ -34,7 +34,7 @@ from fenics_crack.model.modes import (
     solve_bonded_modes,
     solve_modes_with_factor,
 )
-from fenics_crack.model.receptance import ResidualFlexibility
+from fenics_crack.model.receptance import ResidualFlexibility, receptance
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.result_tables import Curve
@@ -130,8 +130,15 @@ def find_key_figures(study: Study) -> PreSolutionKeyFigures:
     """
     scene, law = study.scene, study.contact
     structure = study.structure.structure_in_few_coordinates()
+    reduction = modal_reduction_or_none(scene, structure)
+    is_search_structure_reduced = (
+        law is not None
+        and reduction is not None
+        and scene.disk is None
+        and scene.excitation.order is None
+    )
     search_modes, modes, bonded_modes, static_displacements, face_compliance = (
-        _solve_modes_and_static_responses(structure)
+        _solve_modes_and_static_responses(structure, is_search_structure_reduced)
     )
     modal_damping_ratios = list_modal_damping_ratios(structure, modes.omega)
     bilinear_frequencies = BilinearFrequencies(
@@ -178,7 +185,6 @@ def find_key_figures(study: Study) -> PreSolutionKeyFigures:
     contact_law_stiffness = (
         None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
     )
-    reduction = modal_reduction_or_none(scene, structure)
     return PreSolutionKeyFigures(
         mesh_extents=mesh_extents(structure.whole),
         n_elements_along_face=_count_elements_along_face(scene, structure),
@@ -206,9 +212,12 @@ def find_key_figures(study: Study) -> PreSolutionKeyFigures:
 
 
 def _solve_modes_and_static_responses(
-    structure: Structure,
+    structure: Structure, is_search_structure_reduced: bool
 ) -> tuple[Modes, Modes, Modes, np.ndarray, np.ndarray]:
     """Find modes and static responses with one factor of the stiffness (collective).
+
+    If ``is_search_structure_reduced``, the same factor serves to compute the structure's
+    receptance, with which the search of the resonance under the load begins.
 
     Returns
     -------
@@ -232,6 +241,8 @@ def _solve_modes_and_static_responses(
     n_search_modes = min(N_RESONANCE_SEARCH_MODES, n_available_modes)
     with Factor(structure.stiffness, definite=True) as stiffness_factor:
         search_modes = solve_modes_with_factor(stiffness_factor, structure, n_search_modes)
+        if is_search_structure_reduced and structure.whole is structure:
+            receptance(structure, n_search_modes, stiffness_factor)
         modes = Modes(search_modes.omega[:n_modes], search_modes.shapes[:, :n_modes], structure)
         static_displacements = _static_displacements(stiffness_factor, modes, structure.force)
         face_compliance = structure.apply_bt(
