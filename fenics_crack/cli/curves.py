@@ -157,7 +157,7 @@ def _format_parameters(run: Run[ResponseCurve], *parameter_values: float) -> str
 def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     """Yield warnings about large errors, undecided stability and an early end.
 
-    The largest response and eight points along the curve are checked for errors above 5 %. A curve
+    The largest response and five points along the curve are checked for errors above 5 %. A curve
     interrupted by Ctrl-C gives a warning about this alone.
     """
     curve, scene = run.result, run.scene
@@ -177,7 +177,7 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
     error_checked_point_indices = {
         peak_index,
-        *np.linspace(0, len(curve) - 1, 8).astype(int).tolist(),
+        *np.linspace(0, len(curve) - 1, 5).astype(int).tolist(),
     }
     solutions_by_index = {
         checked_point_index: curve.solution(

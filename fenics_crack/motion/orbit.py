@@ -35,12 +35,11 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.sparse as sparse
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.basics.errors import ConvergenceError
@@ -57,6 +56,7 @@ from fenics_crack.motion.flow import (
     Samples,
     Track,
 )
+from fenics_crack.motion.gauss_pieces import GaussPieces
 from fenics_crack.motion.motions import MotionRecord, ObservedMotion
 from fenics_crack.numerics.equations import (
     ROOT_TOLERANCE,
@@ -306,22 +306,15 @@ class PeriodicOrbit(ObservedMotion, Described):
             Number of instants. Default: 512, and the record also has the exact closed, stick and
             slip shares and the friction loss.
         """
-        gauss_samples, piece_lengths = self._gauss_samples_and_lengths(
+        gauss_samples, gauss_pieces = self._gauss_samples_and_pieces(
             len(self.flow.modal_load) // 2 * self.omega
         )
-        gauss_nodes, gauss_weights, _ = gauss_legendre_rule()
         columns_of_quantities = (
             gauss_samples.row_products(rows),
             gauss_samples.gaps,
             gauss_samples.forces,
         )
-        node_values, node_indices_in_piece = (
-            np.hstack(columns_of_quantities),
-            np.arange(len(gauss_nodes)),
-        )
-        piece_ends = np.cumsum(piece_lengths)
-        alternating_signs = (-1.0) ** np.arange(len(gauss_nodes))
-        barycentric_weights = alternating_signs * np.sqrt((1.0 - gauss_nodes**2) * gauss_weights)
+        node_values = np.hstack(columns_of_quantities)
         quantity_column_splits = np.cumsum(
             [quantity_columns.shape[1] for quantity_columns in columns_of_quantities]
         )[:2]
@@ -329,21 +322,8 @@ class PeriodicOrbit(ObservedMotion, Described):
         def interpolate_at(period_fractions: np.ndarray) -> Any:
             """Return row products, gaps and forces at positions in the period, 0 to 1."""
             time = self.period * np.mod(period_fractions, 1.0)
-            piece_indices = np.minimum(np.searchsorted(piece_ends, time), len(piece_ends) - 1)
-            piece_coordinates = (
-                1.0 + 2.0 * (time - piece_ends[piece_indices]) / piece_lengths[piece_indices]
-            )
-            node_distances = piece_coordinates[:, None] - gauss_nodes
-            node_distances = np.where(node_distances == 0.0, sys.float_info.min, node_distances)
-            node_weights = barycentric_weights / node_distances
-            node_weights /= node_weights.sum(axis=1, keepdims=True)
-            column_indices = len(gauss_nodes) * piece_indices[:, None] + node_indices_in_piece
-            row_starts = len(gauss_nodes) * np.arange(len(time) + 1)
-            interpolation_matrix = sparse.csr_matrix(
-                (node_weights.ravel(), column_indices.ravel(), row_starts),
-                (len(time), len(node_values)),
-            )
-            return np.split(interpolation_matrix @ node_values, quantity_column_splits, axis=1)
+            values = gauss_pieces.interpolate(node_values, time)
+            return np.split(values, quantity_column_splits, axis=1)
 
         n_instants, exact_number_by_name = instants or INSTANTS_PER_PERIOD, {}
         period_fractions = np.arange(n_instants) / n_instants
@@ -371,9 +351,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         ``harmonics`` is the highest harmonic H of the orbit's period. Gauss quadrature integrates
         the pieces of the period. Within a piece no pair opens, closes, sticks or slips.
         """
-        gauss_samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[
-            0
-        ]
+        gauss_samples = self._gauss_samples_and_pieces(harmonics * self.omega / self.subharmonic)[0]
         gaps_at_gauss_nodes, contact_forces_at_gauss_nodes, n_modes = (
             gauss_samples.gaps,
             gauss_samples.forces,
@@ -408,9 +386,7 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         ``rows`` (m, n_dofs) are factors of the displacement, and ``harmonics`` is H.
         """
-        gauss_samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[
-            0
-        ]
+        gauss_samples = self._gauss_samples_and_pieces(harmonics * self.omega / self.subharmonic)[0]
         return self._integrate_coefficients(gauss_samples.row_products(rows), harmonics)
 
     def _integrate_coefficients(self, node_values: np.ndarray, harmonics: int) -> np.ndarray:
@@ -419,15 +395,13 @@ class PeriodicOrbit(ObservedMotion, Described):
         ``harmonics`` is H.
         """
         base_omega = self.omega / self.subharmonic
-        node_samples, piece_lengths = self._gauss_samples_and_lengths(harmonics * base_omega)
-        time_weights = (
-            0.5 * piece_lengths[:, None] * gauss_legendre_rule()[1]
-        ).ravel() / self.period
+        gauss_pieces = self._gauss_samples_and_pieces(harmonics * base_omega)[1]
+        time_weights = gauss_pieces.node_weights / self.period
         cosine_sine_coefficients = np.zeros((2 * harmonics + 1, node_values.shape[1]))
         basis_buffer = np.empty((len(cosine_sine_coefficients), INSTANTS_PER_BLOCK))
         for slice_start in range(0, len(node_values), INSTANTS_PER_BLOCK):
             sample_slice = slice(slice_start, slice_start + INSTANTS_PER_BLOCK)
-            base_phasor = np.exp(1j * base_omega * node_samples.time[sample_slice])
+            base_phasor = np.exp(1j * base_omega * gauss_pieces.node_times[sample_slice])
             weighted_basis = basis_buffer[:, : len(base_phasor)]
             weighted_phasor = 2.0 * time_weights[sample_slice] * base_phasor
             weighted_basis[0] = time_weights[sample_slice]
@@ -441,20 +415,12 @@ class PeriodicOrbit(ObservedMotion, Described):
             cosine_sine_coefficients += weighted_basis @ node_values[sample_slice]
         return cosine_sine_coefficients
 
-    def _gauss_samples_and_lengths(self, max_wave_omega: float) -> tuple[Samples, np.ndarray]:
-        """Return the motion at Gauss nodes in all pieces of the period.
+    def _gauss_samples_and_pieces(self, max_wave_omega: float) -> tuple[Samples, GaussPieces]:
+        """Return the motion at Gauss nodes in all pieces of the period, and the pieces.
 
-        Within a piece no pair opens, closes, sticks or slips. A piece is at most 10 rad divided by
-        the sum of two rates [rad/s]: ``max_wave_omega``, the highest frequency to integrate, and
-        the largest rate of the motion itself. The samples for the highest frequency so far are
-        kept.
-
-        Returns
-        -------
-        samples : Samples
-            Motion at all nodes, in order of time.
-        piece_lengths : (n_pieces,) [s]
-            Durations of the pieces; each has 20 nodes.
+        The rate of an interval between events is the sum of two rates [rad/s]: ``max_wave_omega``,
+        the highest frequency to integrate, and the largest rate of the motion itself. The samples
+        for the highest frequency so far are kept.
         """
         if not self._gauss_sample_cache or self._gauss_sample_cache[-1][0] < max_wave_omega:
             track, flow = self.motion.track, self.flow
@@ -462,25 +428,17 @@ class PeriodicOrbit(ObservedMotion, Described):
             rate_bounds = np.where(
                 interval_has_closed_pair, flow.mode_rate_bound, flow.open_mode_rate_bound
             )
-            interval_rotation_angles = track.lengths * (rate_bounds + max_wave_omega)
-            interval_piece_counts = np.maximum(
-                np.ceil(interval_rotation_angles / kernel.MAX_PIECE_ANGLE), 1
-            ).astype(int)
-            piece_lengths = np.repeat(track.lengths / interval_piece_counts, interval_piece_counts)
-            piece_starts = np.concatenate([[0.0], np.cumsum(piece_lengths)[:-1]])
-            node_times = piece_starts[:, None] + 0.5 * piece_lengths[:, None] * (
-                1.0 + gauss_legendre_rule()[0]
-            )
+            gauss_pieces = GaussPieces(track.lengths, rate_bounds + max_wave_omega)
             self._gauss_sample_cache[:] = [
-                (max_wave_omega, self.samples(node_times.ravel()), piece_lengths)
+                (max_wave_omega, self.samples(gauss_pieces.node_times), gauss_pieces)
             ]
         return self._gauss_sample_cache[-1][1:]
 
     @cached_property
-    def _gauss_sample_cache(self) -> list[tuple[float, Samples, np.ndarray]]:
+    def _gauss_sample_cache(self) -> list[tuple[float, Samples, GaussPieces]]:
         """Return the cache for samples at Gauss nodes, empty at first.
 
-        Its only entry is (highest frequency [rad/s], samples, piece lengths [s]).
+        Its only entry is (highest frequency [rad/s], samples, pieces).
         """
         return []
 
@@ -493,42 +451,23 @@ class PeriodicOrbit(ObservedMotion, Described):
         nodes.
         """
         flow = self.flow
-        gauss_samples, piece_lengths = self._gauss_samples_and_lengths(
+        gauss_samples, gauss_pieces = self._gauss_samples_and_pieces(
             len(flow.modal_load) // 2 * self.omega
         )
-        _, gauss_weights, differentiation_matrix = gauss_legendre_rule()
-
-        def work_of_columns(node_forces: np.ndarray, node_displacements: np.ndarray) -> np.ndarray:
-            """Return the work int F x' dt over the period, for each of k columns: (k,) [J].
-
-            ``node_forces`` F and ``node_displacements`` x are (n, k), at all n Gauss nodes.
-            """
-            piece_shape = len(piece_lengths), len(gauss_weights), -1
-            displacement_rates = differentiation_matrix @ node_displacements.reshape(piece_shape)
-            return np.asarray(
-                np.einsum(
-                    "k,pkc,pkc->c",
-                    gauss_weights,
-                    node_forces.reshape(piece_shape),
-                    displacement_rates,
-                )
-            )
-
         load_basis = fourier_basis_for(flow.modal_load, self.omega * gauss_samples.time)
         modal_velocities = gauss_samples.states[:, flow.n_modes :]
-        time_weights = (0.5 * piece_lengths[:, None] * gauss_weights).ravel()
         damping_power = np.sum(
             modal_velocities * flow.modal_model.damping_force(modal_velocities), axis=1
         )
-        damping_work = float(time_weights @ damping_power)
+        damping_work = float(gauss_pieces.node_weights @ damping_power)
         n_pairs = flow.structure.n_pairs
         pair_friction_work = np.zeros(n_pairs)
         if flow.friction_law:
-            pair_friction_work = work_of_columns(
+            pair_friction_work = gauss_pieces.work(
                 gauss_samples.forces[:, n_pairs:], gauss_samples.gaps[:, n_pairs:]
             )
         load_work = float(
-            work_of_columns(load_basis, gauss_samples.row_products(flow.structure.force)).sum()
+            gauss_pieces.work(load_basis, gauss_samples.row_products(flow.structure.force)).sum()
         )
         return MechanicalWork(load_work, damping_work, pair_friction_work)
 
@@ -608,32 +547,6 @@ class MechanicalWork(NamedTuple):
     load: float
     damping: float
     friction: np.ndarray
-
-
-@lru_cache
-def gauss_legendre_rule() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the Gauss rule for a piece of the period, with n = 20 nodes.
-
-    Returns
-    -------
-    nodes : (n,)
-        Positions in the piece, from -1 to 1.
-    gauss_weights : (n,)
-        Weights with the sum 2.
-    differentiation : (n, n)
-        Matrix from values at the nodes to derivatives at the nodes.
-    """
-    legendre_nodes, gauss_weights = np.polynomial.legendre.leggauss(2 * kernel.MAX_PIECE_ANGLE)
-    polynomials_at_nodes = np.polynomial.legendre.legvander(legendre_nodes, len(legendre_nodes) - 1)
-    legendre_derivative_coefficients = np.polynomial.legendre.legder(np.eye(len(legendre_nodes)))
-    legendre_derivatives_at_nodes = np.polynomial.legendre.legval(
-        legendre_nodes, legendre_derivative_coefficients
-    ).T
-    return (
-        legendre_nodes,
-        gauss_weights,
-        np.linalg.solve(polynomials_at_nodes.T, legendre_derivatives_at_nodes.T).T,
-    )
 
 
 class RealFourierCoefficients(NamedTuple):

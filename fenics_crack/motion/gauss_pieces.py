@@ -1,0 +1,143 @@
+"""Gauss nodes in the pieces of a period, to interpolate and integrate an exact motion.
+
+Between two events no pair opens, closes, sticks or slips, and the motion is smooth. Each interval
+between events is cut into pieces. On a piece, a polynomial passes through the motion at the nodes
+of a Gauss rule. If the fastest part of the motion turns by the angle a in the piece, the relative
+error of a polynomial through n nodes is about (a / 2)^n / (n! 2^(n - 1)):
+
+- 20 nodes for a <= 10 rad: 8e-11.
+- 8 nodes for a <= 0.25 rad: 1e-14. Pairs that close one after another leave many such pieces.
+"""
+
+from __future__ import annotations
+
+import sys
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sparse
+
+from fenics_crack.kernel import kernel
+
+MAX_SHORT_PIECE_ANGLE = 0.25
+"""Maximum angle of a short piece [rad]; a longer piece has up to 10 rad."""
+NODE_COUNTS_OF_SHORT_AND_LONG_PIECES = 8, 2 * kernel.MAX_PIECE_ANGLE
+"""Numbers of Gauss nodes in a short piece, and in a longer piece."""
+
+
+class GaussRule(NamedTuple):
+    """Gauss rule with n nodes, for a piece from -1 to 1.
+
+    Attributes
+    ----------
+    nodes, weights : (n,)
+        Positions of the nodes, and weights with the sum 2.
+    barycentric_weights : (n,)
+        Weights of the polynomial through values at the nodes, in barycentric form.
+    differentiation : (n, n)
+        Matrix from values at the nodes to derivatives at the nodes.
+    """
+
+    nodes: np.ndarray
+    weights: np.ndarray
+    barycentric_weights: np.ndarray
+    differentiation: np.ndarray
+
+
+@lru_cache
+def gauss_rule(n_nodes: int) -> GaussRule:
+    """Return the Gauss-Legendre rule with ``n_nodes`` nodes."""
+    nodes, weights = np.polynomial.legendre.leggauss(n_nodes)
+    polynomials_at_nodes = np.polynomial.legendre.legvander(nodes, n_nodes - 1)
+    derivative_coefficients = np.polynomial.legendre.legder(np.eye(n_nodes))
+    derivatives_at_nodes = np.polynomial.legendre.legval(nodes, derivative_coefficients).T
+    return GaussRule(
+        nodes,
+        weights,
+        (-1.0) ** np.arange(n_nodes) * np.sqrt((1.0 - nodes**2) * weights),
+        np.linalg.solve(polynomials_at_nodes.T, derivatives_at_nodes.T).T,
+    )
+
+
+class GaussPieces:
+    """Pieces of a period, each with the nodes of a Gauss rule.
+
+    Parameters
+    ----------
+    interval_lengths : (n,) [s]
+        Durations of the intervals between events, in order. The first begins at time zero.
+    interval_rates : (n,) [rad/s]
+        Upper bound of the rate at which the motion turns in each interval.
+
+    Attributes
+    ----------
+    node_times : (n_nodes,) [s]
+        Times of all nodes, ascending.
+    node_weights : (n_nodes,) [s]
+        Weights of the nodes in an integral over time.
+    """
+
+    def __init__(self, interval_lengths: np.ndarray, interval_rates: np.ndarray) -> None:
+        angles = interval_lengths * interval_rates
+        piece_counts = np.maximum(np.ceil(angles / kernel.MAX_PIECE_ANGLE), 1).astype(int)
+        self._lengths = np.repeat(interval_lengths / piece_counts, piece_counts)
+        self._ends = np.cumsum(self._lengths)
+        self._is_long = np.repeat(angles > MAX_SHORT_PIECE_ANGLE, piece_counts)
+        node_counts = np.where(self._is_long, *NODE_COUNTS_OF_SHORT_AND_LONG_PIECES[::-1])
+        self._first_nodes = np.concatenate([[0], np.cumsum(node_counts)])
+        self.node_times, self.node_weights = np.empty((2, self._first_nodes[-1]))
+        for pieces, rule in self._pieces_and_rules(np.arange(len(node_counts))):
+            nodes, half_lengths = self._nodes_of(pieces, rule), 0.5 * self._lengths[pieces, None]
+            self.node_times[nodes] = self._ends[pieces, None] + half_lengths * (rule.nodes - 1.0)
+            self.node_weights[nodes] = half_lengths * rule.weights
+
+    def _pieces_and_rules(self, pieces: np.ndarray) -> list[tuple[np.ndarray, GaussRule]]:
+        """Divide indices of pieces into short and longer pieces, each with their Gauss rule."""
+        is_long = self._is_long[pieces]
+        return [
+            (pieces[is_selected], gauss_rule(n_nodes))
+            for is_selected, n_nodes in zip(
+                (~is_long, is_long), NODE_COUNTS_OF_SHORT_AND_LONG_PIECES, strict=True
+            )
+        ]
+
+    def _nodes_of(self, pieces: np.ndarray, rule: GaussRule) -> np.ndarray:
+        """Return the indices of the nodes in k pieces with the same rule: (k, n)."""
+        return np.asarray(self._first_nodes[pieces, None] + np.arange(len(rule.nodes)))
+
+    def interpolate(self, node_values: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Return the values at k times of the period [s], from values at all nodes.
+
+        ``node_values`` is (n_nodes, m), the result (k, m).
+        """
+        pieces = np.minimum(np.searchsorted(self._ends, time), len(self._ends) - 1)
+        coordinates = 1.0 + 2.0 * (time - self._ends[pieces]) / self._lengths[pieces]
+        values = np.empty((len(time), node_values.shape[1]))
+        for is_long, (pieces_with_rule, rule) in enumerate(self._pieces_and_rules(pieces)):
+            is_selected = self._is_long[pieces] == is_long
+            distances = coordinates[is_selected, None] - rule.nodes
+            weights = rule.barycentric_weights / np.where(
+                distances == 0.0, sys.float_info.min, distances
+            )
+            weights /= weights.sum(axis=1, keepdims=True)
+            row_starts = len(rule.nodes) * np.arange(len(weights) + 1)
+            node_indices = self._nodes_of(pieces_with_rule, rule)
+            interpolation_matrix = sparse.csr_matrix(
+                (weights.ravel(), node_indices.ravel(), row_starts),
+                (len(weights), len(node_values)),
+            )
+            values[is_selected] = interpolation_matrix @ node_values
+        return values
+
+    def work(self, node_forces: np.ndarray, node_displacements: np.ndarray) -> np.ndarray:
+        """Return the work int F x' dt over the period, for each of m columns: (m,) [J].
+
+        ``node_forces`` F and ``node_displacements`` x are (n_nodes, m), at all nodes.
+        """
+        work = np.zeros(node_forces.shape[1])
+        for pieces, rule in self._pieces_and_rules(np.arange(len(self._lengths))):
+            nodes = self._nodes_of(pieces, rule)
+            rates = rule.differentiation @ node_displacements[nodes]
+            work += np.einsum("k,pkc,pkc->c", rule.weights, node_forces[nodes], rates)
+        return work
