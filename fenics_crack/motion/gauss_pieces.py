@@ -60,6 +60,20 @@ def gauss_rule(n_nodes: int) -> GaussRule:
     )
 
 
+@lru_cache
+def _padded_nodes_and_barycentric_weights() -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes and barycentric weights of short and longer pieces: two arrays (2, 20).
+
+    The rows of short pieces are filled up with nodes at infinity, of weight 0.
+    """
+    n_short, n_long = NODE_COUNTS_OF_SHORT_AND_LONG_PIECES
+    nodes, barycentric_weights = np.full((2, n_long), np.inf), np.zeros((2, n_long))
+    for row, n_nodes in enumerate((n_short, n_long)):
+        nodes[row, :n_nodes] = gauss_rule(n_nodes).nodes
+        barycentric_weights[row, :n_nodes] = gauss_rule(n_nodes).barycentric_weights
+    return nodes, barycentric_weights
+
+
 class GaussPieces:
     """Pieces of a period, each with the nodes of a Gauss rule.
 
@@ -113,22 +127,24 @@ class GaussPieces:
         """
         pieces = np.minimum(np.searchsorted(self._ends, time), len(self._ends) - 1)
         coordinates = 1.0 + 2.0 * (time - self._ends[pieces]) / self._lengths[pieces]
-        values = np.empty((len(time), node_values.shape[1]))
-        for is_long, (pieces_with_rule, rule) in enumerate(self._pieces_and_rules(pieces)):
-            is_selected = self._is_long[pieces] == is_long
-            distances = coordinates[is_selected, None] - rule.nodes
-            weights = rule.barycentric_weights / np.where(
-                distances == 0.0, sys.float_info.min, distances
-            )
-            weights /= weights.sum(axis=1, keepdims=True)
-            row_starts = len(rule.nodes) * np.arange(len(weights) + 1)
-            node_indices = self._nodes_of(pieces_with_rule, rule)
-            interpolation_matrix = sparse.csr_matrix(
-                (weights.ravel(), node_indices.ravel(), row_starts),
-                (len(weights), len(node_values)),
-            )
-            values[is_selected] = interpolation_matrix @ node_values
-        return values
+        nodes, barycentric_weights = _padded_nodes_and_barycentric_weights()
+        rule_rows = self._is_long[pieces].astype(int)
+        distances = coordinates[:, None] - nodes[rule_rows]
+        weights = barycentric_weights[rule_rows] / np.where(
+            distances == 0.0, sys.float_info.min, distances
+        )
+        weights /= weights.sum(axis=1, keepdims=True)
+        last_nodes = self._first_nodes[pieces + 1, None] - 1
+        node_indices = self._first_nodes[pieces, None] + np.arange(weights.shape[1])
+        interpolation_matrix = sparse.csr_matrix(
+            (
+                weights.ravel(),
+                np.minimum(node_indices, last_nodes).ravel(),
+                weights.shape[1] * np.arange(len(time) + 1),
+            ),
+            (len(time), len(node_values)),
+        )
+        return np.asarray(interpolation_matrix @ node_values)
 
     def work(self, node_forces: np.ndarray, node_displacements: np.ndarray) -> np.ndarray:
         """Return the work int F x' dt over the period, for each of m columns: (m,) [J].
