@@ -327,14 +327,13 @@ def _make_saddle_point_matrix(matrix: Any, border: sparse.spmatrix) -> Any:
     entries of A and s B have similar size. The last rank owns the rows of B^T.
     """
     comm, n_border = matrix.comm.tompi4py(), border.shape[1]
-    border_scale = matrix.norm(PETSc.NormType.INFINITY) or 1.0
-    local_saddle_point_rows = sparse.hstack([local_rows(matrix), border_scale * border])
-    border_everywhere = sparse.vstack(comm.allgather(border), "csr")
+    scaled_border = (matrix.norm(PETSc.NormType.INFINITY) or 1.0) * border
+    saddle_point_rows = sparse.hstack([local_rows(matrix), scaled_border], "csr")
+    border_everywhere = sparse.vstack(comm.allgather(scaled_border), "csr")
     if comm.rank == comm.size - 1:
-        local_saddle_point_rows = sparse.vstack(
-            [
-                local_saddle_point_rows,
-                sparse.hstack([border_scale * border_everywhere.T, np.zeros((n_border, n_border))]),
-            ]
-        )
-    return make_matrix_from_local_rows(local_saddle_point_rows, comm)
+        border_range = np.arange(n_border)
+        # stored zeros: MUMPS finds no null pivot without an entry
+        zero_block = sparse.csr_matrix((0.0 * border_range, (border_range, border_range)))
+        border_rows = sparse.hstack([border_everywhere.T, zero_block], "csr")
+        saddle_point_rows = sparse.vstack([saddle_point_rows, border_rows], "csr")
+    return make_square_petsc_matrix(saddle_point_rows, comm)
