@@ -76,7 +76,12 @@ MAX_TAYLOR_PIECES_PER_ORBIT_SEARCH = 20_000
 second, with many pairs. With up to 120 modes the maximum is larger if 20 periods without events
 need more, unless the load is too slow (:func:`is_load_too_slow`)."""
 MAX_MODES_FOR_MONODROMY = 120
-"""Maximum modes for which the monodromy matrix M is formed; more modes use GMRES."""
+"""Maximum modes for which Floquet multipliers are computed from the monodromy matrix M."""
+MAX_MODES_FOR_NEWTON_MATRIX = 240
+"""Maximum modes for which Newton's method for orbits forms M; more modes use GMRES.
+
+With 240 modes of a plate, GMRES takes ten times as long.
+"""
 MAX_GMRES_PRODUCTS = 60
 """Maximum products with the monodromy matrix in a solution by GMRES."""
 SIMPLIFIED_STEP_GMRES_TOLERANCE = 0.25
@@ -734,12 +739,12 @@ def _make_i_minus_m_solver(
 ) -> IMinusMSolver:
     """Return a function from b and a tolerance to the solution y of (I - M) y = b.
 
-    M is the monodromy matrix along ``track``, the pairs' states over a period. With up to 120 modes
+    M is the monodromy matrix along ``track``, the pairs' states over a period. With up to 240 modes
     I - M is factored here, and the tolerance is not used; LinAlgError if I - M is singular. With
     more modes GMRES solves to the relative tolerance in the norm |w b|, with w = ``energy_weights``
     (flow.state_size,).
     """
-    if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
+    if flow.n_modes <= MAX_MODES_FOR_NEWTON_MATRIX:
         i_minus_m_factors = factorise_transpose(
             np.eye(flow.state_size) - track.derivative_of_end_state
         )
@@ -790,7 +795,7 @@ def find_orbit(
     solve_i_minus_m : IMinusMSolver, optional
         Returns (I - M)^-1 b for the first steps, with the monodromy matrix M of a nearby motion.
     step_tolerance : float
-        Maximum relative Newton step at the orbit. With more than 120 modes: 1.5e-8 in any case.
+        Maximum relative Newton step at the orbit. With more than 240 modes: 1.5e-8 in any case.
     failure_reasons : list of str, optional
         The reason is appended if the budget of pieces ends the search.
 
@@ -875,10 +880,10 @@ class _NewtonOrbitSearch:
             Returns (I - M)^-1 b for the first steps, with M of a nearby motion. None: M is
             computed.
         step_tolerance : float
-            Maximum |simplified step| / |state| at the orbit. With more than 120 modes, 1.5e-8 is
+            Maximum |simplified step| / |state| at the orbit. With more than 240 modes, 1.5e-8 is
             taken instead.
         """
-        forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
+        forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_NEWTON_MATRIX
         min_damping_factor = MIN_NEWTON_DAMPING if forms_monodromy else 0.1
         step_tolerance = step_tolerance if forms_monodromy else ROOT_TOLERANCE
         self.motion = self._integrate_period(self.state)
