@@ -179,16 +179,17 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
         peak_index,
         *np.linspace(0, len(curve) - 1, 5).astype(int).tolist(),
     }
-    solutions_by_index = {
-        checked_point_index: curve.solution(
-            checked_point_index, search=checked_point_index == peak_index
+    error_reports_by_index, harmonic_counts_by_index = {}, {}
+    for checked_point_index in sorted(error_checked_point_indices):
+        is_peak = checked_point_index == peak_index
+        # A part of the curve frees the memory of its solutions.
+        solution = (
+            curve.solution(peak_index)
+            if is_peak
+            else curve.part([checked_point_index]).solution(0, search=False)
         )
-        for checked_point_index in sorted(error_checked_point_indices)
-    }
-    error_reports_by_index = {
-        checked_point_index: solution.report
-        for checked_point_index, solution in solutions_by_index.items()
-    }
+        error_reports_by_index[checked_point_index] = solution.report
+        harmonic_counts_by_index[checked_point_index] = solution.harmonics
     worst_index = max(
         error_reports_by_index,
         key=lambda checked_point_index: error_reports_by_index[checked_point_index].total,
@@ -197,12 +198,12 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     yield from account.yield_large_error_warning(
         scene,
         error_reports_by_index[worst_index],
-        solutions_by_index[worst_index].harmonics,
+        harmonic_counts_by_index[worst_index],
         location_text,
     )
     if curve.multipliers is not None and _is_before_early_end(curve, peak_index):
         for warning_text in account.yield_mode_dependence_warning(
-            run.scene, solutions_by_index[peak_index], curve.verdicts[peak_index]
+            run.scene, curve.solution(peak_index), curve.verdicts[peak_index]
         ):
             yield f"at the largest response, {warning_text}"
     undecided_index_ranges = _find_undecided_index_ranges(curve)
