@@ -10,9 +10,8 @@ Dense matrices are small here, also within these libraries. OpenBLAS's threads w
 other longer than they work, and spin meanwhile. So would four threads of OpenMP, in which CHOLMOD
 assembles each small block, whatever OMP_NUM_THREADS says.
 
-OpenBLAS up to 0.3.24, as in Debian 12, does not know Intel's processors since 2022. It would run
-the code for a processor of 2004, several times slower (github.com/OpenMathLib/OpenBLAS, issue
-4267).
+OpenBLAS up to 0.3.24, as in Debian 12, does not know Intel's processors since 2022, and runs slow
+code for a processor from 2004 (github.com/OpenMathLib/OpenBLAS, issue 4267).
 """
 
 from __future__ import annotations
@@ -40,9 +39,9 @@ OPENBLAS_CORE_TYPE_AND_CPU_FLAGS = (
     ("SkylakeX", {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"}),
     ("Haswell", {"avx2", "fma"}),
 )
-"""OpenBLAS's names of Intel processors, and the flags that a processor needs for their code.
+"""OpenBLAS's names for Intel processors, and needed flags in Linux's file ``/proc/cpuinfo``.
 
-The faster code comes first. The flags are those in Linux's file ``/proc/cpuinfo``.
+The faster code comes first.
 """
 MPIRUN_ENVIRONMENT_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Environment variables that mpirun sets for each process before MPI is started."""
@@ -216,7 +215,7 @@ def is_started_by_mpirun() -> bool:
 def choose_openblas_core_type(cpu_info_file: Path = Path("/proc/cpuinfo")) -> None:
     """Set the variable OPENBLAS_CORETYPE for Intel's processors, unless the user has set it.
 
-    OpenBLAS reads the variable when it is loaded; some versions do not know newer processors. For
+    OpenBLAS reads the variable at import; some versions do not know newer processors. For
     processors without the flags in :data:`OPENBLAS_CORE_TYPE_AND_CPU_FLAGS`, OpenBLAS chooses.
 
     Parameters
@@ -241,9 +240,10 @@ def choose_openblas_core_type(cpu_info_file: Path = Path("/proc/cpuinfo")) -> No
 def choose_single_openblas_thread() -> None:
     """Set the variable OPENBLAS_NUM_THREADS to 1, unless the user has chosen a number of threads.
 
-    For the program, before OpenBLAS is loaded: threads that only wait are then not even started.
+    OpenBLAS then starts no further threads. If NumPy is imported, OpenBLAS has read the variable
+    already: no variable is set, and :func:`run_single_threaded` limits the threads.
     """
-    if not any(map(os.environ.get, THREAD_COUNT_VARIABLES)):
+    if "numpy" not in sys.modules and not any(map(os.environ.get, THREAD_COUNT_VARIABLES)):
         os.environ[THREAD_COUNT_VARIABLES[1]] = "1"
 
 

@@ -1,9 +1,9 @@
-"""Gauss nodes in the pieces of a period, to interpolate and integrate an exact motion.
+"""Gauss nodes to interpolate and integrate an exact motion over a period, in pieces.
 
 Between two events no pair opens, closes, sticks or slips, and the motion is smooth. Each interval
-between events is cut into pieces. On a piece, a polynomial passes through the motion at the nodes
-of a Gauss rule. If the fastest part of the motion turns by the angle a in the piece, the relative
-error of a polynomial through n nodes is about (a / 2)^n / (n! 2^(n - 1)):
+between events is cut into pieces. In a piece, a polynomial passes through the motion at n Gauss
+nodes. If the motion turns by the angle a in the piece, the relative error is about
+(a / 2)^n / (n! 2^(n - 1)):
 
 - 20 nodes for a <= 10 rad: 8e-11.
 - 8 nodes for a <= 0.25 rad: 1e-14. Pairs that close one after another leave many such pieces.
@@ -23,7 +23,7 @@ from fenics_crack.kernel import kernel
 MAX_SHORT_PIECE_ANGLE = 0.25
 """Maximum angle of a short piece [rad]; a longer piece has up to 10 rad."""
 NODE_COUNTS_OF_SHORT_AND_LONG_PIECES = 8, 2 * kernel.MAX_PIECE_ANGLE
-"""Numbers of Gauss nodes in a short piece, and in a longer piece."""
+"""Gauss nodes in a short piece, and in a longer piece."""
 
 
 class GaussRule(NamedTuple):
@@ -32,9 +32,9 @@ class GaussRule(NamedTuple):
     Attributes
     ----------
     nodes, weights : (n,)
-        Positions of the nodes, and weights with the sum 2.
+        Node positions, and weights with the sum 2.
     barycentric_weights : (n,)
-        Weights of the polynomial through values at the nodes, in barycentric form.
+        Weights to evaluate the polynomial in barycentric form.
     differentiation : (n, n)
         Matrix from values at the nodes to derivatives at the nodes.
     """
@@ -62,9 +62,9 @@ def gauss_rule(n_nodes: int) -> GaussRule:
 
 @lru_cache
 def _padded_nodes_and_barycentric_weights() -> tuple[np.ndarray, np.ndarray]:
-    """Return the nodes and barycentric weights of short and longer pieces: two arrays (2, 20).
+    """Return nodes and barycentric weights for short and longer pieces: two arrays (2, 20).
 
-    The rows of short pieces are filled up with nodes at infinity, of weight 0.
+    Short rows are filled up with nodes at infinity, with weight 0.
     """
     n_short, n_long = NODE_COUNTS_OF_SHORT_AND_LONG_PIECES
     nodes, barycentric_weights = np.full((2, n_long), np.inf), np.zeros((2, n_long))
@@ -75,21 +75,21 @@ def _padded_nodes_and_barycentric_weights() -> tuple[np.ndarray, np.ndarray]:
 
 
 class GaussPieces:
-    """Pieces of a period, each with the nodes of a Gauss rule.
+    """Cut a period into pieces, each with Gauss nodes.
 
     Parameters
     ----------
     interval_lengths : (n,) [s]
         Durations of the intervals between events, in order. The first begins at time zero.
     interval_rates : (n,) [rad/s]
-        Upper bound of the rate at which the motion turns in each interval.
+        Largest rate at which the motion may turn in each interval.
 
     Attributes
     ----------
     node_times : (n_nodes,) [s]
         Times of all nodes, ascending.
     node_weights : (n_nodes,) [s]
-        Weights of the nodes in an integral over time.
+        Weight at each node in an integral over time.
     """
 
     def __init__(self, interval_lengths: np.ndarray, interval_rates: np.ndarray) -> None:
@@ -107,7 +107,7 @@ class GaussPieces:
             self.node_weights[nodes] = half_lengths * rule.weights
 
     def _pieces_and_rules(self, pieces: np.ndarray) -> list[tuple[np.ndarray, GaussRule]]:
-        """Divide indices of pieces into short and longer pieces, each with their Gauss rule."""
+        """Divide piece indices into short and longer pieces, each with a Gauss rule."""
         is_long = self._is_long[pieces]
         return [
             (pieces[is_selected], gauss_rule(n_nodes))
@@ -117,11 +117,11 @@ class GaussPieces:
         ]
 
     def _nodes_of(self, pieces: np.ndarray, rule: GaussRule) -> np.ndarray:
-        """Return the indices of the nodes in k pieces with the same rule: (k, n)."""
+        """Return the node indices in k pieces with the same rule: (k, n)."""
         return np.asarray(self._first_nodes[pieces, None] + np.arange(len(rule.nodes)))
 
     def interpolate(self, node_values: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """Return the values at k times of the period [s], from values at all nodes.
+        """Interpolate values at all nodes to k times in the period [s].
 
         ``node_values`` is (n_nodes, m), the result (k, m).
         """

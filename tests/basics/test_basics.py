@@ -686,6 +686,45 @@ def test_the_user_decides(pool: Pool, name: str, monkeypatch: pytest.MonkeyPatch
     assert pool.told == []
 
 
+@pytest.mark.parametrize(
+    ("vendor", "flags", "expected"),
+    [
+        ("GenuineIntel", "fma avx avx2 avx512f avx512dq avx512cd avx512bw avx512vl", "SkylakeX"),
+        ("GenuineIntel", "fma avx avx2 avx512f", "Haswell"),
+        ("GenuineIntel", "sse2 avx", None),
+        ("AuthenticAMD", "fma avx avx2", None),
+    ],
+)
+def test_intel_processors_are_named_for_openblas(
+    vendor: str, flags: str, expected: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By what the processor can do; the user's choice stays, and other makers' are known."""
+    file = tmp_path / "cpuinfo"
+    file.write_text(f"processor\t: 0\nvendor_id\t: {vendor}\nflags\t\t: fpu {flags}\nbugs\t:\n")
+    monkeypatch.delenv("OPENBLAS_CORETYPE", raising=False)
+    machine.choose_openblas_core_type(tmp_path / "missing")
+    assert "OPENBLAS_CORETYPE" not in os.environ
+    machine.choose_openblas_core_type(file)
+    assert os.environ.get("OPENBLAS_CORETYPE") == expected
+    monkeypatch.setenv("OPENBLAS_CORETYPE", "Zen")
+    machine.choose_openblas_core_type(file)
+    assert os.environ["OPENBLAS_CORETYPE"] == "Zen"
+
+
+def test_program_starts_one_thread_of_openblas(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Unless the user has chosen a number, or OpenBLAS is loaded already."""
+    for name in machine.THREAD_COUNT_VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    machine.choose_single_openblas_thread()
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.delitem(sys.modules, "numpy")
+    machine.choose_single_openblas_thread()
+    assert "OPENBLAS_NUM_THREADS" not in os.environ
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    machine.choose_single_openblas_thread()
+    assert os.environ.pop("OPENBLAS_NUM_THREADS") == "1"
+
+
 def test_loaded_libraries_are_found() -> None:
     """Debian's, which NumPy, SciPy and PETSc share, or each of three wheels' own, in a program
     without settings."""
