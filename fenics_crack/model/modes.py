@@ -14,6 +14,7 @@ Modal damping is C = M Phi diag(2 xi_j omega_j) Phi^T M.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral
 from types import SimpleNamespace
@@ -304,10 +305,13 @@ def solve_modes_with_factor(
         if ties is None
         else BondedStiffnessInverse(stiffness_inverse, structure, ties)
     )
+    known_modes = None
+    if ties is None:
+        known_modes = structure.compute_once(_make_empty_modes_list, from_matrices=True) or None
     n_requested_modes, available_count = n_modes, _count_modes_minus_ties(structure, ties)
     while True:
         squared_omegas, shapes = _find_modes_near_zero_omega(
-            used_inverse, structure, n_requested_modes, square_scale, ties
+            used_inverse, structure, n_requested_modes, square_scale, ties, known_modes
         )
         if squared_omegas[0] < -1e-8 * square_scale:
             negative_square_text = f"{squared_omegas[0]:.3g} = omega^2 of a mode"
@@ -422,12 +426,14 @@ def _find_modes_near_zero_omega(
     n_modes: int,
     square_scale: float,
     ties: Any,
+    known_modes: Sequence[np.ndarray] | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the modes closest to zero frequency, with the inverse of K (collective).
 
     If the stiffness K is singular, K + s M is factored instead, with the mass M and the shift s of
     1e-6 ``square_scale``. ``square_scale`` [rad^2/s^2] is the smallest positive K_ii / M_ii.
-    ``ties`` bond the crack (:func:`find_independent_ties`); None: it is open.
+    ``ties`` bond the crack (:func:`find_independent_ties`); None: it is open. ``known_modes`` are
+    frequencies and shapes of lower modes, if known.
 
     Returns
     -------
@@ -438,7 +444,7 @@ def _find_modes_near_zero_omega(
     """
     if not stiffness_inverse.n_null_pivots:
         squared_omegas, shapes = _find_squared_omegas_and_shapes_near_shift(
-            stiffness_inverse, structure, n_modes, 0.0
+            stiffness_inverse, structure, n_modes, 0.0, known_modes
         )
         if (
             squared_omegas[0] > MATRIX_ZERO_TOLERANCE * square_scale
@@ -450,7 +456,7 @@ def _find_modes_near_zero_omega(
     )
     with shifted_factor as shifted_inverse:
         return _find_squared_omegas_and_shapes_near_shift(
-            shifted_inverse, structure, n_modes, squared_omega_shift
+            shifted_inverse, structure, n_modes, squared_omega_shift, known_modes
         )
 
 
@@ -468,11 +474,13 @@ def _find_squared_omegas_and_shapes_near_shift(
     structure: Structure,
     n_modes: int,
     squared_omega_shift: float,
+    known_modes: Sequence[np.ndarray] | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the modes whose omega^2 is closest to a shift [rad^2/s^2] (collective).
 
     ``shifted_inverse`` solves (K - s M) x = r with the stiffness K, the mass M and the shift s. s
-    is ``squared_omega_shift``.
+    is ``squared_omega_shift``. With ``known_modes``, frequencies and shapes of the lowest modes,
+    only the others are computed, orthogonal to these.
 
     Returns
     -------
@@ -481,9 +489,17 @@ def _find_squared_omegas_and_shapes_near_shift(
     (n_local, n_modes)
         Mass-normalised shapes.
     """
+    if known_modes is None or structure.n_dofs < n_krylov_vectors(n_modes):  # no room beside them
+        known_modes = np.zeros(0), np.zeros((structure.n_local, 0))
+    known_omega, known_shapes = known_modes
+    n_new_modes = n_modes - len(known_omega)
     eigenvalue_solver = _make_eigenvalue_solver(
-        structure, "crack_modes_", n_modes, n_krylov_vectors(n_modes)
+        structure, "crack_modes_", n_new_modes, n_krylov_vectors(n_new_modes)
     )
+    known_vectors = [structure.mass.createVecRight() for _ in known_omega]
+    for known_vector, known_shape in zip(known_vectors, known_shapes.T, strict=True):
+        known_vector.array_w[:] = known_shape
+    eigenvalue_solver.setDeflationSpace(known_vectors)
     eigenvalue_solver.setWhichEigenpairs(eigenvalue_solver.Which.TARGET_MAGNITUDE)
     eigenvalue_solver.setTolerances(1e-12, 500)
     eigenvalue_solver.setTarget(squared_omega_shift)
@@ -497,19 +513,20 @@ def _find_squared_omegas_and_shapes_near_shift(
     preconditioner.setPythonContext(
         SimpleNamespace(apply=lambda _, rhs, solution: shifted_inverse.apply(rhs, solution))
     )
-    _run_solver_or_raise(eigenvalue_solver, n_modes)
+    _run_solver_or_raise(eigenvalue_solver, n_new_modes)
     vector, mass_vector = structure.mass.createVecs()
     squared_omegas = np.array(
-        [eigenvalue_solver.getEigenvalue(index).real for index in range(n_modes)]
+        [eigenvalue_solver.getEigenvalue(index).real for index in range(n_new_modes)]
     )
     ascending_order = np.argsort(squared_omegas)
-    shapes = np.empty((n_modes, structure.n_local))
+    shapes = np.empty((n_new_modes, structure.n_local))
     for row, index in zip(shapes, ascending_order, strict=True):
         eigenvalue_solver.getEigenvector(int(index), vector)
         structure.mass.mult(vector, mass_vector)
         row[:] = vector.array_r / np.sqrt(max(vector.dot(mass_vector), 1e-300))
     # Python would keep the context, and with it K, until PETSc frees its garbage.
     for petsc_object in (
+        *known_vectors,
         vector,
         mass_vector,
         eigenvalue_solver,
@@ -517,7 +534,11 @@ def _find_squared_omegas_and_shapes_near_shift(
         preconditioner,
     ):
         petsc_object.destroy()
-    return squared_omegas[ascending_order], shapes.T
+    all_squared_omegas = np.append(known_omega**2, squared_omegas[ascending_order])
+    all_shapes = np.hstack([known_shapes, shapes.T])
+    # Rounding may exchange neighbours.
+    final_order = np.argsort(all_squared_omegas, kind="stable")
+    return all_squared_omegas[final_order], all_shapes[:, final_order]
 
 
 def count_modes_below(structure: Structure, squared_omega: float, ties: Any = None) -> int:

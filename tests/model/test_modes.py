@@ -321,3 +321,23 @@ def test_another_damping_of_a_varied_massless_reduction(wide_plate: Structure) -
 
 
 # --- computed once --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("is_free", [False, True])
+@pytest.mark.parametrize("counts", [(3, 7, 12), (11, 12), (5, 20, 60), (1, 2, 100)])
+def test_more_modes_beside_known_ones(counts: tuple[int, ...], *, is_free: bool) -> None:
+    """Modes added to those that were computed before, and up to all: frequencies as by LAPACK to
+    1e-9, shapes orthonormal to 1e-9; also with a rigid-body motion."""
+    size = 12 if counts[-1] == 12 else 200
+    rng = np.random.default_rng(3)
+    mass = np.diag(rng.uniform(1.0, 2.0, size))
+    stiffness = chain_stiffness(np.ones(size + 1))
+    if is_free:
+        stiffness[0, 0] = stiffness[-1, -1] = 1.0
+    squares = np.maximum(scipy.linalg.eigh(stiffness, mass, eigvals_only=True), 0.0)
+    structure = fc.Structure.from_matrices(mass, stiffness, gap=None)
+    for count in counts:
+        modes = fc.solve_modes(structure, count)
+        assert modes.omega**2 == pytest.approx(squares[:count], rel=1e-9, abs=1e-12)
+        gram = modes.shapes.T @ mass @ modes.shapes
+        assert np.abs(gram - np.eye(count)).max() < 1e-9
