@@ -93,17 +93,21 @@ def test_orbit_against_sampled_forces(make_structure: Callable[[], fc.Structure]
 
 @pytest.mark.parametrize("make_structure", STRUCTURES)
 def test_harmonic_balance_against_the_orbit(make_structure: Callable[[], fc.Structure]) -> None:
-    """With given harmonics, exact or sampled integrals or the block form give the same solution,
-    and its distance to the orbit is the error that the report states."""
+    """With given harmonics, exact or sampled integrals or the block form have the same solution (of
+    several that 12 harmonics have), and its distance to the orbit is the error of the report. Next
+    to singular, the block system of the chain without mass keeps five digits."""
     structure = make_structure()
-    solutions = [
-        fc.solve_harmonic_balance(structure, OMEGA, LAW, harmonics=12, **options)  # type: ignore[arg-type]
-        for options in ({}, {"samples": 8192}, {"form": "block"})
+    solutions = [fc.solve_harmonic_balance(structure, OMEGA, LAW, harmonics=12)]
+    solutions += [
+        fc.solve_harmonic_balance(
+            structure, OMEGA, LAW, harmonics=12, initial=solutions[0], **options
+        )  # type: ignore[arg-type]
+        for options in ({"samples": 8192}, {"form": "block"})
     ]
     orbit = solve_exactly(structure, LAW).orbit
     times = np.linspace(0.0, orbit.period, 200, endpoint=False)
     for solution in solutions:
-        assert relative(solution.gap(times), solutions[0].gap(times)) < 1e-6
+        assert relative(solution.gap(times), solutions[0].gap(times)) < 1e-5
         assert solution.gap_coefficients.shape == solution.force_coefficients.shape == (25, 3)
         motion_size = np.linalg.norm(orbit.gap_at(times) + structure.clearance)
         gap_error = np.linalg.norm(solution.gap(times) - orbit.gap_at(times)) / motion_size
