@@ -101,19 +101,16 @@ class GaussPieces:
         node_counts = np.where(self._is_long, *NODE_COUNTS_OF_SHORT_AND_LONG_PIECES[::-1])
         self._first_nodes = np.concatenate([[0], np.cumsum(node_counts)])
         self.node_times, self.node_weights = np.empty((2, self._first_nodes[-1]))
-        for pieces, rule in self._pieces_and_rules(np.arange(len(node_counts))):
+        for pieces, rule in self._pieces_and_rules():
             nodes, half_lengths = self._nodes_of(pieces, rule), 0.5 * self._lengths[pieces, None]
             self.node_times[nodes] = self._ends[pieces, None] + half_lengths * (rule.nodes - 1.0)
             self.node_weights[nodes] = half_lengths * rule.weights
 
-    def _pieces_and_rules(self, pieces: np.ndarray) -> list[tuple[np.ndarray, GaussRule]]:
-        """Divide piece indices into short and longer pieces, each with a Gauss rule."""
-        is_long = self._is_long[pieces]
+    def _pieces_and_rules(self) -> list[tuple[np.ndarray, GaussRule]]:
+        """Return the indices of short and of longer pieces, each with their Gauss rule."""
         return [
-            (pieces[is_selected], gauss_rule(n_nodes))
-            for is_selected, n_nodes in zip(
-                (~is_long, is_long), NODE_COUNTS_OF_SHORT_AND_LONG_PIECES, strict=True
-            )
+            (np.flatnonzero(self._is_long == is_long), gauss_rule(n_nodes))
+            for is_long, n_nodes in enumerate(NODE_COUNTS_OF_SHORT_AND_LONG_PIECES)
         ]
 
     def _nodes_of(self, pieces: np.ndarray, rule: GaussRule) -> np.ndarray:
@@ -152,7 +149,7 @@ class GaussPieces:
         ``node_forces`` F and ``node_displacements`` x are (n_nodes, m), at all nodes.
         """
         work = np.zeros(node_forces.shape[1])
-        for pieces, rule in self._pieces_and_rules(np.arange(len(self._lengths))):
+        for pieces, rule in self._pieces_and_rules():
             nodes = self._nodes_of(pieces, rule)
             rates = rule.differentiation @ node_displacements[nodes]
             work += np.einsum("k,pkc,pkc->c", rule.weights, node_forces[nodes], rates)

@@ -106,8 +106,8 @@ def test_harmonic_balance_against_the_orbit(make_structure: Callable[[], fc.Stru
     ]
     orbit = solve_exactly(structure, LAW).orbit
     times = np.linspace(0.0, orbit.period, 200, endpoint=False)
-    for solution in solutions:
-        assert relative(solution.gap(times), solutions[0].gap(times)) < 1e-5
+    for solution, tolerance in zip(solutions, (1e-6, 1e-6, 1e-5), strict=True):
+        assert relative(solution.gap(times), solutions[0].gap(times)) < tolerance
         assert solution.gap_coefficients.shape == solution.force_coefficients.shape == (25, 3)
         motion_size = np.linalg.norm(orbit.gap_at(times) + structure.clearance)
         gap_error = np.linalg.norm(solution.gap(times) - orbit.gap_at(times)) / motion_size

@@ -687,7 +687,7 @@ def test_the_user_decides(pool: Pool, name: str, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize(
-    ("vendor", "flags", "expected"),
+    ("vendor", "flags", "core_type"),
     [
         ("GenuineIntel", "fma avx avx2 avx512f avx512dq avx512cd avx512bw avx512vl", "SkylakeX"),
         ("GenuineIntel", "fma avx avx2 avx512f", "Haswell"),
@@ -696,7 +696,7 @@ def test_the_user_decides(pool: Pool, name: str, monkeypatch: pytest.MonkeyPatch
     ],
 )
 def test_intel_processors_are_named_for_openblas(
-    vendor: str, flags: str, expected: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    vendor: str, flags: str, core_type: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By what the processor can do; the user's choice stays, and other makers' are known."""
     file = tmp_path / "cpuinfo"
@@ -705,7 +705,7 @@ def test_intel_processors_are_named_for_openblas(
     machine.choose_openblas_core_type(tmp_path / "missing")
     assert "OPENBLAS_CORETYPE" not in os.environ
     machine.choose_openblas_core_type(file)
-    assert os.environ.get("OPENBLAS_CORETYPE") == expected
+    assert os.environ.get("OPENBLAS_CORETYPE") == core_type
     monkeypatch.setenv("OPENBLAS_CORETYPE", "Zen")
     machine.choose_openblas_core_type(file)
     assert os.environ["OPENBLAS_CORETYPE"] == "Zen"
