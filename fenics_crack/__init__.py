@@ -24,13 +24,14 @@ from typing import Any
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.machine import (
     check_debian_module_versions,
-    choose_openblas_core_type,
     is_started_by_mpirun,
+    load_openblas,
     run_single_threaded,
 )
 from fenics_crack.version import VERSION
 
-choose_openblas_core_type()  # before NumPy loads OpenBLAS
+with suppress(ImportError):  # raised again where NumPy is used
+    load_openblas()
 if is_started_by_mpirun():
     with suppress(InputError):  # raised again where the package is used
         check_debian_module_versions()

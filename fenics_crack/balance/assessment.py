@@ -33,6 +33,7 @@ from fenics_crack.balance.more_modes import (
     project_motion_on_load,
 )
 from fenics_crack.balance.problem import Problem, Search
+from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import format_percent
 from fenics_crack.model.modal import is_small
 from fenics_crack.motion.attractors import Attractor, find_irregular_motion
@@ -68,6 +69,9 @@ MAX_HARMONIC_DOUBLINGS_FOR_ORBIT = 2
 """Maximum number of times that the harmonics are doubled to find an orbit."""
 
 
+@keep_old_attribute_names(
+    orbit="nearest_orbit", accepted="is_accepted", distance="relative_orbit_distance"
+)
 class Assessment:
     """Comparison of a harmonic-balance solution with exact motions.
 

@@ -270,6 +270,7 @@ def _yield_cases_with_neighbours(
     ]
     parameter_rows.append(np.abs(flow.clearance).max() / load_magnitudes)
     scaled_parameters = np.nan_to_num(np.array(parameter_rows).T, nan=0.0, posinf=0.0, neginf=0.0)
+    scaled_parameters = scaled_parameters.clip(-1e100, 1e100)  # whose squares are finite
     parameter_ranges = np.ptp(scaled_parameters, axis=0)
     median_parameters = np.median(scaled_parameters, axis=0)
     mode_index_nearest_to_median_omega = int(
@@ -322,8 +323,9 @@ def _find_orbit_of_case(
     flow = ContactFlow(problem.structure, problem.contact)
     if not is_orbit_search_affordable(flow, problem.omega):
         raise ConvergenceError(
-            "an exact orbit takes too long, as the load is too slow or there are too many modes: "
-            "raise omega, or keep fewer modes"
+            "an exact orbit takes too long: motions in contact are as fast as "
+            f"{flow.mode_rate_bound:.2g} rad/s; raise omega, keep fewer modes, or, where crack "
+            "faces have mass, make the contact softer"
         )
     is_usable_neighbour = (orbit_table.verdict[neighbour_indices] != "") & (
         orbit_table.load[neighbour_indices] != 0.0

@@ -181,9 +181,15 @@ def check_number(
     raise InputError(key, value, f"a finite number{bound_text}")
 
 
+MAX_OMEGA = 1e30
+"""Largest angular frequency [rad/s], whose powers are finite."""
+
+
 def check_omega(value: object, key: str = "omega") -> None:
-    """Raise InputError unless a value is a finite angular frequency > 0 [rad/s]."""
+    """Raise InputError unless a value is an angular frequency > 0, at most 1e30 [rad/s]."""
     check_number(key, value, 0.0, excludes_bound=True)
+    if value > MAX_OMEGA:  # type: ignore[operator]
+        raise InputError(key, value, f"at most {MAX_OMEGA:g} rad/s")
 
 
 def check_count(key: str, value: object, lower_bound: int, upper_bound: int = 10**9) -> None:

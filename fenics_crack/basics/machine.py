@@ -212,29 +212,38 @@ def is_started_by_mpirun() -> bool:
     return any(name in os.environ for name in MPIRUN_ENVIRONMENT_VARIABLES)
 
 
-def choose_openblas_core_type(cpu_info_file: Path = Path("/proc/cpuinfo")) -> None:
-    """Set the variable OPENBLAS_CORETYPE for Intel's processors, unless the user has set it.
+def load_openblas(cpu_info_file: Path = Path("/proc/cpuinfo")) -> None:
+    """Load NumPy, whose OpenBLAS is told which of Intel's processors it runs on.
 
-    OpenBLAS reads the variable at import; some versions do not know newer processors. For
-    processors without the flags in :data:`OPENBLAS_CORE_TYPE_AND_CPU_FLAGS`, OpenBLAS chooses.
-
-    Parameters
-    ----------
-    cpu_info_file : Path
-        File in which Linux describes the processors.
+    OpenBLAS reads OPENBLAS_CORETYPE when it is loaded; some versions do not know newer processors.
+    The variable is set for that time alone, as child processes may run on other machines, and not
+    if the user has set it, or if ``cpu_info_file``, Linux's file on processors, has none of
+    :data:`OPENBLAS_CORE_TYPE_AND_CPU_FLAGS`.
     """
+    core_type = None if "OPENBLAS_CORETYPE" in os.environ else _find_core_type(cpu_info_file)
+    if core_type is None or "numpy" in sys.modules:
+        return
+    os.environ["OPENBLAS_CORETYPE"] = core_type
+    try:
+        import numpy  # noqa: F401
+    finally:
+        del os.environ["OPENBLAS_CORETYPE"]
+
+
+def _find_core_type(cpu_info_file: Path) -> str | None:
+    """Return OpenBLAS's name of an Intel processor by its flags; None if it has none of them."""
     try:
         with cpu_info_file.open() as file:
             cpu_info_text = file.read(2**13)  # more than the first processor's lines
     except OSError:
-        return
+        return None
     flags_match = re.search(r"^flags\s*: (.*)$", cpu_info_text, re.MULTILINE)
     if "GenuineIntel" not in cpu_info_text or not flags_match:
-        return
+        return None
     for core_type, needed_flags in OPENBLAS_CORE_TYPE_AND_CPU_FLAGS:
         if needed_flags <= {*flags_match[1].split()}:
-            os.environ.setdefault("OPENBLAS_CORETYPE", core_type)
-            return
+            return core_type
+    return None
 
 
 def choose_single_openblas_thread() -> None:

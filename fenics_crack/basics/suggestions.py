@@ -38,6 +38,7 @@ SEARCH_WORDS_BY_CALL = {
     "fc.load_run(path)": "load read open import restore result solution hdf5",
     "fc.Scene.load(path)": "load read open import from file scene toml model plate material crack "
     "geometry rectangle box problem",
+    "fc.Structure.from_matrices(mass, stiffness, gap=...)": "from matrices matrix",
     "fc.build_structure(scene), with mesh.file in it": "load read open import mesh msh gmsh",
     "fc.save(result, path, scene)": "save write dump export store hdf5 toml",
     "result.to_dict()": "dataframe frame pandas numpy dict csv excel",
@@ -162,7 +163,12 @@ def find_similar_or_longer_names(
         for known_name in known_names
         if beginning_pattern.search(known_name) and len(name) >= 3
     ]
-    return find_similar_names(name, known_names, min_likeness) or sorted(longer_names, key=len)
+    last_words = [one for one in known_names if name[:1].isupper() and one.endswith(name)]
+    return (
+        last_words
+        or find_similar_names(name, known_names, min_likeness)
+        or sorted(longer_names, key=len)
+    )
 
 
 def find_calls_by_synonyms(name: str) -> list[str]:

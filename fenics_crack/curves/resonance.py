@@ -415,6 +415,8 @@ def resonance_at(
     >>> found.omega, found.solution.amplitude(), found.several
     """
     if isinstance(problem, Structure):
+        if isinstance(parameter, str):
+            raise InputError("omega", None, "given: fc.resonance_at(structure, contact, omega)")
         n_harmonics = max(Problem.harmonics, least_harmonics(problem, 1))
         problem = Problem(problem, parameter, near, n_harmonics)
         near, parameter = None, "omega"

@@ -30,6 +30,8 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenics_crack.basics.errors import ConvergenceError
+
 MAX_BLOCK_COLUMNS = 16
 """Maximum number of columns that are solved or multiplied together: PETSc copies them."""
 MATRIX_ZERO_TOLERANCE = 1e-10
@@ -190,10 +192,21 @@ class Factor:
             except PETSc.Error:
                 self._destroy_factor()
         self._factorise("mumps")
+        if matrix.comm.size > 1 and not self._solves_finitely():
+            # On some partitions MUMPS's search for null pivots ends in infinite solutions.
+            self._destroy_factor()
+            self._factorise("mumps", finds_null_pivots=False)
         self.n_null_pivots = int(self._factor.getMumpsInfog(28))
         self.n_negative_pivots = int(self._factor.getMumpsInfog(12)) - self._n_border
 
-    def _factorise(self, package_name: str) -> None:
+    def _solves_finitely(self) -> bool:
+        """Return True if A x = (1, 1, ...) has a finite solution (collective)."""
+        rhs, solution = self._padded_rhs_and_solution
+        rhs.set(1.0)
+        self._pc.apply(rhs, solution)
+        return bool(np.isfinite(solution.norm()))
+
+    def _factorise(self, package_name: str, *, finds_null_pivots: bool = True) -> None:
         """Factor the matrix with a package: "mumps", "cholmod" or "umfpack" (collective).
 
         A PETSc option of the user overrides the same option that is set here.
@@ -225,7 +238,7 @@ class Factor:
             self._factor = self._pc.getFactorMatrix()
             self._factor.setOptionsPrefix(OPTIONS_PREFIX)  # before PETSc reads the options
             if package_name == "mumps":
-                self._factor.setMumpsIcntl(24, 1)  # detect null pivots
+                self._factor.setMumpsIcntl(24, int(finds_null_pivots))
             self._pc.setFromOptions()
             self._pc.setUp()
         finally:
@@ -233,11 +246,15 @@ class Factor:
                 options.delValue(option_name)
 
     def apply(self, rhs: Any, solution: Any) -> None:
-        """Solve A x = ``rhs`` for one PETSc vector, into ``solution`` (collective)."""
+        """Solve A x = ``rhs`` for one PETSc vector, into ``solution`` (collective).
+
+        ConvergenceError: the solution is not finite.
+        """
         padded_rhs, padded_solution = self._padded_rhs_and_solution
         padded_rhs.array_w[: self._n_local] = rhs.array_r
         padded_rhs.array_w[self._n_local :] = 0.0
         self._pc.apply(padded_rhs, padded_solution)
+        _check_norm(padded_solution.norm())
         solution.array_w[:] = padded_solution.array_r[: self._n_local]
 
     def solve(self, rhs: np.ndarray | sparse.spmatrix) -> np.ndarray:
@@ -252,6 +269,11 @@ class Factor:
         -------
         (m, n_local)
             Solutions x, one in each row.
+
+        Raises
+        ------
+        ConvergenceError
+            A solution is not finite.
         """
         solutions = np.empty(rhs.shape)
         for start in range(0, len(solutions), MAX_BLOCK_COLUMNS):
@@ -280,6 +302,7 @@ class Factor:
             dense_matrix.setUp()
             dense_matrix.assemble()
         self._factor.matSolve(rhs_matrix, solution_matrix)
+        _check_norm(solution_matrix.norm(PETSc.NormType.FROBENIUS))
         solutions = np.array(solution_matrix.getDenseArray()[:n_local_dofs].T)
         rhs_matrix.destroy()
         solution_matrix.destroy()
@@ -305,6 +328,15 @@ class Factor:
 
     def __exit__(self, *exception: object) -> None:
         self.destroy()
+
+
+def _check_norm(norm: float) -> None:
+    """Raise ConvergenceError unless the norm of a solution is finite."""
+    if not np.isfinite(norm):
+        raise ConvergenceError(
+            "a linear system has no finite solution: its matrix is singular, or the factorisation "
+            "failed; if it does so on several ranks alone, use another number of ranks"
+        )
 
 
 @contextmanager

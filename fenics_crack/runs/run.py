@@ -13,7 +13,7 @@ import numpy as np
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.suggestions import keep_old_attribute_names
+from fenics_crack.basics.suggestions import keep_old_attribute_names, replacement_question_text
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
 from fenics_crack.errors.stated import estimate_result_errors
@@ -76,6 +76,14 @@ class Run(StudyWithResult, Generic[ResultType]):
 
     result: ResultType
     stated: Verification | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        question_text = replacement_question_text(name, ())
+        stability = getattr(self.__dict__.get("result"), "stability", None)
+        if question_text == "" and not name.startswith("_") and hasattr(stability, name):
+            question_text = f"did you mean run.stability.{name}?"
+        message = f"'Run' object has no attribute {name!r}; {question_text}"
+        raise AttributeError(message.rstrip("; "))
 
     @cached_property
     def errors(self) -> Verification | None:

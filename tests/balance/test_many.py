@@ -106,12 +106,20 @@ def test_bad_cases_stop_no_other() -> None:
         load=[1.0, 1.0, nan, 1.0, 1.0, 1.0], damping=[1.0, 1.0, 1.0, -1.0, 1.0, 1.0],
     )  # fmt: skip
     assert cases.status.tolist() == ["alone", *["refused"] * 4, "lost"]
-    for case, word in enumerate(("omega", "load", "damping", "omega", "too slow"), 1):
+    for case, word in enumerate(("omega", "load", "damping", "omega", "raise omega"), 1):
         assert word in cases.reason[case]
         assert np.isnan(cases.amplitude[case]) and not cases.verdict[case]
-    catch_error(lambda: cases.orbit(5), names="too slow", kind=fc.ConvergenceError)
+    catch_error(lambda: cases.orbit(5), names="raise omega", kind=fc.ConvergenceError)
     assert len(cases.to_dict()["amplitude"]) == 6
     assert "5 without an orbit" in repr(cases)
+
+
+def test_cases_out_of_reach_say_why() -> None:
+    """A frequency too high to square is refused; contact may be too stiff for a face with mass."""
+    cases = fc.solve_many(oscillator(), [0.7, 1e300], fc.UnilateralPenalty(3.0))
+    assert cases.status.tolist() == ["alone", "refused"] and "omega = 1e+300" in cases.reason[1]
+    stiff = fc.solve_many(oscillator(), [0.7], fc.UnilateralPenalty(1e12))
+    assert stiff.status[0] == "lost" and "make the contact softer" in stiff.reason[0]
 
 
 ARRAYS = "omega, load, damping, clearance"

@@ -15,7 +15,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -698,17 +698,34 @@ def test_the_user_decides(pool: Pool, name: str, monkeypatch: pytest.MonkeyPatch
 def test_intel_processors_are_named_for_openblas(
     vendor: str, flags: str, core_type: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By what the processor can do; the user's choice stays, and other makers' are known."""
+    """By what the processor can do, while NumPy is loaded; the user's choice stays."""
     file = tmp_path / "cpuinfo"
     file.write_text(f"processor\t: 0\nvendor_id\t: {vendor}\nflags\t\t: fpu {flags}\nbugs\t:\n")
+    seen: list[str | None] = []
     monkeypatch.delenv("OPENBLAS_CORETYPE", raising=False)
-    machine.choose_openblas_core_type(tmp_path / "missing")
-    assert "OPENBLAS_CORETYPE" not in os.environ
-    machine.choose_openblas_core_type(file)
-    assert os.environ.get("OPENBLAS_CORETYPE") == core_type
-    monkeypatch.setenv("OPENBLAS_CORETYPE", "Zen")
-    machine.choose_openblas_core_type(file)
-    assert os.environ["OPENBLAS_CORETYPE"] == "Zen"
+    monkeypatch.delitem(sys.modules, "numpy")
+    finder = SimpleNamespace(
+        find_spec=lambda name, *_: seen.append(os.environ.get("OPENBLAS_CORETYPE"))
+    )
+    monkeypatch.setattr(sys, "meta_path", [finder])
+    for choice in (None, "Zen"):
+        if choice:
+            monkeypatch.setenv("OPENBLAS_CORETYPE", choice)
+        for cpu_info in (tmp_path / "missing", file):
+            with suppress(ImportError):
+                machine.load_openblas(cpu_info)
+            assert os.environ.get("OPENBLAS_CORETYPE") == choice
+    assert seen == ([core_type] if core_type else [])
+
+
+def test_no_other_process_gets_the_name_of_this_processor() -> None:
+    """A child process may run on another machine."""
+    program = "import os, fenics_crack; print(os.environ.get('OPENBLAS_CORETYPE'))"
+    environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_CORETYPE"}
+    answer = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    assert answer.stdout.strip() == "None"
 
 
 def test_program_starts_one_thread_of_openblas(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -150,3 +150,27 @@ def test_an_old_name_of_an_attribute_is_answered_with_a_warning() -> None:
     scene = fc.Scene.load(ROOT / "demos" / "blade.toml")
     with pytest.warns(FutureWarning, match="Scene.in_hertz is Scene.is_frequency_in_hertz now"):
         assert scene.in_hertz == scene.is_frequency_in_hertz
+
+
+@pytest.mark.parametrize(
+    ("name", "right"),
+    [
+        ("from_matrices", "fc.Structure.from_matrices(mass, stiffness, gap=...)"),
+        ("Friction", "fc.CoulombFriction"),
+    ],
+)
+def test_a_missing_name_leads_on(name: str, right: str) -> None:
+    """To the nearest one of the package."""
+    catch_error(lambda: getattr(fc, name), kind=AttributeError, names=re.escape(f"mean {right}?"))
+
+
+def test_a_missing_attribute_of_a_run_leads_on() -> None:
+    """To where it is; old names of an assessment are answered."""
+    scene = {"damping.ratio": 0.01, "contact.stiffness": 1e9}
+    run = fc.solve(fc.Scene.load(ROOT / "demos" / "paper_plate.toml").replace(scene))
+    for name, right in (("multipliers", "run.stability.multipliers"), ("modes", "fc.modes(scene)")):
+        right = re.escape(f"mean {right}?")
+        catch_error(lambda name=name: getattr(run, name), kind=AttributeError, names=right)
+    for old, new in (("accepted", "is_accepted"), ("distance", "relative_orbit_distance")):
+        with pytest.warns(FutureWarning, match=f"Assessment.{old} is Assessment.{new} now"):
+            assert getattr(run.assessment, old) == getattr(run.assessment, new)

@@ -311,3 +311,8 @@ def test_what_has_no_phase_resonance() -> None:
     )
     span = {"parameter": "clearance", "at": "resonance", "start": 0.1, "stop": 1.0}
     catch_error(lambda: fc.Scene.from_mapping(CRACKED | {"curve": span}), "curve.at", "resonance")
+
+
+def test_a_structure_needs_a_frequency() -> None:
+    """Named as such."""
+    catch_error(lambda: resonance_at(mass(0.01), fc.UnilateralPenalty(1.0)), "omega", None)

@@ -719,3 +719,16 @@ def test_what_petsc_lacks_gives_way_to_mumps(monkeypatch: pytest.MonkeyPatch) ->
     with Factor(make_matrix_from_local_rows(stiffness, MPI.COMM_SELF), definite=True) as factor:
         assert relative(factor.solve(stiffness), np.eye(6)) < 1e-10
         assert factor.n_negative_pivots == 0
+
+
+@pytest.mark.parametrize("definite", [True, False])
+def test_infinite_solutions_of_a_factor_are_named(definite: bool) -> None:
+    """Where they arise, by each of the ways to solve."""
+    matrix = make_matrix_from_local_rows(np.diag([1.0, 1e-300]), MPI.COMM_SELF)
+    with Factor(matrix, definite=definite) as factor:
+        rhs, solution = matrix.createVecs()
+        rhs.set(1e300)
+        for solve in (
+            lambda: factor.solve(np.full((1, 2), 1e300)), lambda: factor.apply(rhs, solution)
+        ):  # fmt: skip
+            catch_error(solve, names="no finite solution", kind=fc.ConvergenceError)
