@@ -16,6 +16,7 @@ import errno
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -23,6 +24,8 @@ from fenics_crack.basics.errors import DISK_FULL_ERROR_NUMBERS, InputError, Writ
 
 DEVICE_FOLDERS = "/dev", "/dev/fd", "/proc/self/fd"
 """Folders of devices and open files, which are written directly."""
+MIN_AGE_OF_UNFINISHED_FILE = 60.0
+"""Age [s] from which a hidden file is no longer being written."""
 BACKUP_FOLDER_NAME = "before"
 """Name of the folder with replaced files, below the folder of the new files."""
 
@@ -290,12 +293,32 @@ def make_folder_until_exit() -> Path:
 
 
 def remove_file(path: Path, key: str) -> None:
-    """Remove a file if it exists.
+    """Remove a file if it exists, and hidden files that killed processes left beside it.
 
-    InputError if the file cannot be removed; ``key`` names the option with the path.
+    InputError if a file cannot be removed; ``key`` names the option with the path.
     """
     with report_write_errors(path, key, "a file that can be removed"):
         path.unlink(missing_ok=True)
+        remove_unfinished_files(path)
+
+
+def tidy_and_count_free_bytes(path: Path) -> int:
+    """Return the free space for a file [byte]; make its folder, remove what was left unfinished.
+
+    InputError if the folder cannot be made.
+    """
+    with report_write_errors(path, "path"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        remove_unfinished_files(path, MIN_AGE_OF_UNFINISHED_FILE)
+        return shutil.disk_usage(path.parent).free
+
+
+def remove_unfinished_files(path: Path, min_age: float = 0.0) -> None:
+    """Remove hidden files for a final path that have not changed for ``min_age`` [s]."""
+    for hidden_path in path.parent.glob(f".????????.{path.name}"):
+        with contextlib.suppress(FileNotFoundError):
+            if time.time() - hidden_path.lstat().st_mtime >= min_age:
+                hidden_path.unlink()
 
 
 def write_bytes_at(file_descriptor: int, content: bytes | memoryview, offset: int) -> None:

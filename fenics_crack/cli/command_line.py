@@ -39,6 +39,8 @@ PETSC_OPTION_PREFIXES = tuple(
 In this order: SNES of harmonic balance, GMRES, SLEPc for lowest modes, SLEPc for the largest
 frequency, factorisations.
 """
+MODES_OPTION_PREFIXES = PETSC_OPTION_PREFIXES[2:]
+"""Prefixes of options for what a kept structure holds: with them, none is read or kept."""
 LIBRARY_ARGUMENT_NAMES_BY_SCENE_TABLE = {
     "curve": ("parameter", "start"),
     "disk": ("families",),
@@ -359,9 +361,9 @@ def _call_command(
     assert console is not None
     if arguments.command not in ("check", "clean"):
         make_writable_folder(inputs.results_folder, console.comm)
-    if (
-        is_fresh_option_set := vars(arguments).get("fresh")
-    ) is not None and inputs.prepared_study is None:
+    if (is_fresh_option_set := vars(arguments).get("fresh")) is not None and not (
+        inputs.prepared_study or any(one.startswith(MODES_OPTION_PREFIXES) for one in sys.argv)
+    ):
         from fenics_crack.study.shelf import StructureFile
 
         kept_structure_path = inputs.results_folder / KEPT_STRUCTURE_FILE_NAME

@@ -152,8 +152,6 @@ def write_and_print_report(
         0 without doubts; 3 if not converged; 4 if the error is unknown or above the tolerance.
     """
     replacement_note = ""
-    for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:
-        structure_file.write_noted_structure(console.comm)
     if result is not None:
         replacement_note = keep_previous_files_and_return_note(
             Path(f"{stem_path}.json"), report.table.format_as("json"), console.comm
@@ -168,6 +166,8 @@ def write_and_print_report(
             file_stack.close()
 
         on_root(console.comm, write_tables)
+    for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:
+        structure_file.write_noted_structure(console.comm)
     if picture_format:
         on_root(
             console.comm,

@@ -550,13 +550,22 @@ def make_writable_folder(folder: Path, comm: MPI.Comm) -> None:
     )
 
 
+def _equal_but_for_rounding(text: str, other: str) -> bool:
+    """Return True for texts whose numbers differ by a relative 1e-9 at most, or are rounding."""
+    pattern = re.compile(r"-?\d+\.?\d*(?:[eE][+-]?\d+)?")
+    if pattern.sub("0", text) != pattern.sub("0", other):
+        return False
+    numbers, other_numbers = (np.array(pattern.findall(one), float) for one in (text, other))
+    return np.allclose(numbers, other_numbers, rtol=1e-9, atol=1e-15)
+
+
 def keep_previous_files_and_return_note(
     table_path: Path, table_text: str, comm: MPI.Comm, *other_result_file_stems: str
 ) -> str:
     """Keep the previous result's files in the folder ``before`` (collective).
 
-    The folder keeps a single previous result. If previous and new table have the same text, nothing
-    is kept.
+    The folder keeps a single previous result. If previous and new table have the same text and
+    numbers, but for rounding, nothing is kept.
 
     Parameters
     ----------
@@ -586,7 +595,8 @@ def keep_previous_files_and_return_note(
 
     def keep_files_on_root() -> str:
         try:
-            if read_regular_file(table_path, follows_links=False) == table_text.encode():
+            old_bytes = read_regular_file(table_path, follows_links=False)
+            if _equal_but_for_rounding(old_bytes.decode(errors="replace"), table_text):
                 return ""
         except FileNotFoundError:
             return ""

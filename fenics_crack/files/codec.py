@@ -251,16 +251,19 @@ class _DatasetReader(NamedTuple):
 
 
 def check_arrays(datasets: Mapping[str, Any]) -> None:
-    """Raise ValueError if an array from a file has a wrong NumPy type or too large numbers.
+    """Raise ValueError if an array from a file has a wrong NumPy type or numbers out of range.
 
-    Absolute values above ``MAX_ALLOWED_MAGNITUDE`` are too large; nan is allowed. Indices must be
-    whole numbers, for example, and flags must be True or False. ``datasets`` has arrays and other
-    values by field name; only arrays are checked.
+    Absolute values above ``MAX_ALLOWED_MAGNITUDE`` are out of range, and nan but for unknown
+    multipliers. Indices must be whole numbers, for example, and flags must be True or False.
+    ``datasets`` has arrays and other values by field name; only arrays are checked.
     """
     for name, array in datasets.items():
         if isinstance(array, np.ndarray):
             allowed_kinds = _DTYPE_KINDS_BY_FIELD.get(name.rpartition(".")[2], "bifu")
-            if array.dtype.kind not in allowed_kinds or np.any(
-                np.abs(array) > MAX_ALLOWED_MAGNITUDE
+            magnitudes = np.abs(np.nan_to_num(array) if name.endswith("multipliers") else array)
+            if array.dtype.kind not in allowed_kinds or not np.all(
+                magnitudes <= MAX_ALLOWED_MAGNITUDE
             ):
-                raise ValueError(f"its entry '{name}' has wrong or too large numbers")
+                raise ValueError(
+                    f"its entry '{name}' has wrong numbers, or none, or too large ones"
+                )

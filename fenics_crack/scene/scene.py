@@ -59,6 +59,8 @@ from fenics_crack.scene.tables import Rotation
 
 MANY_SOLUTION_TABLE_NAMES = ("curve", "sweep", "growth", "identify")
 """Settings tables for the commands that solve a scene many times."""
+LONG_NAME_PATTERN = re.compile(r"""(?<![\w-])(([\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){50}""")
+"""A name with more than 50 parts: tomllib's time grows with the square of their number."""
 
 
 @keep_old_attribute_names(
@@ -175,6 +177,8 @@ class Scene(SceneTables):
             Values by full key as in :meth:`replace`.
         """
         with report_read_errors("scene", name, "a TOML file"):
+            if LONG_NAME_PATTERN.search(text):
+                raise InputError("scene", name, "a TOML file whose names have at most 50 parts")
             try:
                 raw_table_by_name = tomllib.loads(text)
             except tomllib.TOMLDecodeError as error:

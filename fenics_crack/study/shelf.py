@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
+from fenics_crack.basics.atomic_files import tidy_and_count_free_bytes
 from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.ranks import on_root
 from fenics_crack.fem.setting import list_mean_cos_and_sin_force_vectors
 from fenics_crack.files.codec import DATASET_ERROR_CLASSES, pack_dataclass, unpack_dataclass
 from fenics_crack.files.store import program_fingerprint_text, read_result_file, write_result_file
@@ -120,7 +123,8 @@ class StructureFile:
         """Write the noted structure with its coarser structure (collective).
 
         Nothing is written if the arrays that were read from the file are at least as large. If
-        writing fails, or the arrays exceed 500 MB, a line is printed.
+        writing fails, the arrays exceed 500 MB, or the disk has no room for ten such files, a line
+        is printed. Files that killed commands left unfinished are removed.
         """
         for shared_structure, scene in self._noted_structures_and_scenes:
             if shared_structure.comm.size < comm.size and comm.rank:
@@ -151,6 +155,15 @@ class StructureFile:
                         "path",
                         str(self._path),
                         f"a file of at most {MAX_STRUCTURE_FILE_BYTES / 1e6:g} MB",
+                    )
+                n_free_bytes = on_root(
+                    shared_structure.comm, partial(tidy_and_count_free_bytes, self._path)
+                )
+                if n_free_bytes < 10 * n_dataset_bytes:
+                    raise InputError(
+                        "path",
+                        str(self._path),
+                        f"on a disk with room for ten of it, {n_dataset_bytes / 1e5:.3g} MB",
                     )
                 write_result_file(
                     dataset_by_name,

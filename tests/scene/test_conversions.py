@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from functools import partial
 
 import pytest
@@ -72,3 +73,12 @@ def test_what_is_not_understood_is_not_guessed() -> None:
         catch_error(lambda: Scene.from_text(PLATE).replace(change), "crack.length", "-30 mm"),
     ]
     assert "did you mean" not in str(errors)
+
+
+@pytest.mark.parametrize("text", ["[{}]", "{} = 1", "x = {{ {} = 1 }}"])
+def test_a_name_of_many_parts_takes_no_time(text: str) -> None:
+    """Reading took a time that grew with the square of their number."""
+    start_time = time.process_time()
+    text = text.format(".".join("a" * 100_000))
+    catch_error(lambda: Scene.from_text(text), "scene", names="at most 50 parts")
+    assert time.process_time() - start_time < 1.0

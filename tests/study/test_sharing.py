@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import os
+import resource
 import weakref
 from collections.abc import Callable
 from pathlib import Path
@@ -158,3 +161,19 @@ def test_same_on_two_ranks(on_ranks: Callable[..., Any], scene: fc.Scene) -> Non
         assert rank_numbers["mesh amplitude"] == pytest.approx(
             expected_numbers["mesh amplitude"], rel=1e-3
         )
+
+
+def test_memory_of_many_studies_of_one_mesh() -> None:
+    """The matrices of earlier reductions are freed."""
+    scene = fc.Scene.load(DEMOS / "blade.toml").replace({"sweep": None})
+
+    def resident_bytes(first: int) -> int:
+        for number in range(first, first + 30):
+            fc.prepare(scene.replace({"excitation.frequency": 700.0 + number}))
+        gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * resource.getpagesize()
+
+    start_bytes = resident_bytes(0)
+    assert resident_bytes(30) - start_bytes < 30 * 15_000  # 41,000 each before

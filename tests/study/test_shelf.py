@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+import os
 import re
 import shutil
 import subprocess
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 from helpers import SOLID_TEXT, TITANIUM, changed
 from mpi4py import MPI
+from ranks import LIMIT
 from surroundings import DEMOS, RunCommand, main, no_rank
 from test_artefact import FORGERIES, PLATE, put_number, shortened
 
@@ -231,6 +233,7 @@ FORGED: dict[str, Callable[[Any], None]] = FORGERIES | {
     "another stiffness": lambda file: put_number(file, "structure.stiffness.indices", 0, 10**6),
     "fewer entries": lambda file: shortened(file, "structure.mass.data", slice(-1)),
     "a load of another size": lambda file: shortened(file, "structure.excitation", slice(1)),
+    "no number in the load": lambda file: put_number(file, "structure.excitation", (2, 0), np.nan),
     "a forged coarser mesh": lambda file: put_number(
         file, "coarser_structure.mass.data", 0, np.nan
     ),
@@ -287,6 +290,52 @@ def test_what_cannot_be_kept_is_said(
     assert main(["check", str(plate)]) == 0
     [line] = lines_of(capfd.readouterr().err)
     assert "not kept" in line and not (folder / "prepared.h5").exists()
+
+
+def test_results_come_first_and_leave_room(
+    plate: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The structure is kept where the disk has room for ten; a killed command's rest goes."""
+    folder = plate.parent / "output" / "plate"
+    folder.mkdir(parents=True)
+    old_file, new_file = folder / ".0123abcd.prepared.h5", folder / ".4567cdef.prepared.h5"
+    for file in (old_file, new_file):
+        file.write_bytes(b"half")
+    os.utime(old_file, (0.0, 0.0))
+    usage = shutil.disk_usage(folder)._replace(free=10**5)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    LAST_STRUCTURE_OR_EMPTY_LIST.clear()
+    assert main(["solve", str(plate)]) in (0, 4)
+    [line] = lines_of(capfd.readouterr().err)
+    assert "not kept" in line and "room for ten" in line
+    assert (folder / "solution.h5").exists() and not (folder / "prepared.h5").exists()
+    assert not old_file.exists() and new_file.exists()
+    assert main(["clean", str(plate)]) == 0 and not new_file.exists()
+
+
+@pytest.mark.usefixtures("path")
+@pytest.mark.parametrize(("change", "is_kept"), [(1e-14, False), (1e-6, True)])
+def test_the_same_result_replaces_none(plate: Path, change: float, is_kept: bool) -> None:
+    """One that differs by rounding is the same; the result before both stays kept."""
+    table = plate.parent / "output" / "plate" / "solution.json"
+    first = re.search(r'"value": (\d[\d.e+-]+)', table.read_text())
+    assert first is not None
+    text = f'"value": {float(first[1]) * (1.0 + change)!r}'
+    table.write_text(table.read_text().replace(first[0], text, 1))
+    assert run("solve", plate) in (0, 4)
+    assert (table.parent / "before" / table.name).exists() == is_kept
+
+
+@pytest.mark.usefixtures("path")
+def test_options_for_modes_compute_the_structure(plate: Path) -> None:
+    """No kept one is taken, and the options are not said to have had no effect."""
+    words = ["solve", str(plate), "-crack_modes_eps_tol", "1e-9"]
+    process = subprocess.run(
+        [str(Path(sys.executable).with_name("fenics-crack")), *words], env=no_rank(),
+        capture_output=True, text=True, timeout=LIMIT, check=False,
+    )  # fmt: skip
+    assert process.returncode in (0, 4), process.stderr
+    assert "no effect" not in process.stderr and "read from this file" not in process.stderr
 
 
 def test_clean_removes_the_file(plate: Path, path: Path, run_command: RunCommand) -> None:
