@@ -76,7 +76,9 @@ f_0 of the motion without friction; r is the ratio of sliding across the lines t
 them. Measured in seven cases, against time steps with Coulomb's cone: true errors were 0.03 to 1.2
 times the stated error.
 """
-QUANTITY_NAMES_WITHOUT_FRICTION_ERROR = ("K_II_max", "K_III_max")
+QUANTITY_NAMES_WITHOUT_FRICTION_ERROR = (
+    "K_II_max", "K_III_max", "K_II_leading", "K_III_leading", "K_II_ratio",
+)  # fmt: skip
 """Quantities without an estimated friction error: friction at the tip itself changes K_II, K_III.
 """
 HARMONICS_NOT_VARIED_REASON = "without contact the motion has the harmonics of the load alone"

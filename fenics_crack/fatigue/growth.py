@@ -60,7 +60,7 @@ from fenics_crack.fatigue.lengths import (
     sweep_crack_sizes,
 )
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.fem.solid import find_reaches_from_crack_middle
+from fenics_crack.fem.solid import find_reaches_from_crack_middle, find_section_ahead
 from fenics_crack.files.store import SavableResult
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
@@ -551,6 +551,13 @@ def _grow_ellipse(
     if scene.reduction is None:
         scene = scene.replace({"reduction.method": "massless", "reduction.modes": N_ELLIPSE_MODES})
     n_surface_ends = 1 if crack.edge else 2
+    if scene.geometry.file is not None:
+        section = on_root(comm, lambda: find_section_ahead(scene))
+        law.require(
+            law.until < section,
+            "until",
+            f"below {section:.4g} m, the section straight ahead of the crack: growth ends there",
+        )
     allowed_length = on_root(comm, lambda: _find_allowed_ellipse_length(scene))
     crack.require(
         allowed_length > 0.0,
@@ -656,7 +663,7 @@ def _collect_ellipse_remarks(
         else []
     )
     remark_texts += _list_crack_turning_remarks(
-        values_by_column["K_max"], values_by_column["K_II_max"], ellipse_path.length_along_face
+        values_by_column["K_II_ratio"], ellipse_path.length_along_face
     )
     is_above_resonance = values_by_column["omega"] > values_by_column["omega_bilinear"]
     has_passed_resonance = is_above_resonance != is_above_resonance[0]
@@ -781,9 +788,7 @@ def _collect_growth_remarks(
     end_reason : str
         Why growth ends: "reached", "arrested" or "broken".
     """
-    remark_texts = _list_crack_turning_remarks(
-        values_by_column["K_max"], values_by_column["K_II_max"], lengths
-    )
+    remark_texts = _list_crack_turning_remarks(values_by_column["K_II_ratio"], lengths)
     law = length_path.law
     not_stable_lengths, intensity_jump_lengths = (
         [doubtful_length for doubtful_length in doubtful_lengths if doubtful_length <= lengths[-1]]
@@ -822,21 +827,17 @@ def _collect_growth_remarks(
     return remark_texts
 
 
-def _list_crack_turning_remarks(
-    K_max: np.ndarray, K_II: np.ndarray, lengths: np.ndarray
-) -> list[str]:
-    """Return a remark if a crack would turn by more than 10 degrees.
+def _list_crack_turning_remarks(ratios: np.ndarray, lengths: np.ndarray) -> list[str]:
+    """Return a remark if a crack would turn by more than 10 degrees, else an empty list.
 
-    The kink angle is 2 arctan(2 K_II / (K_I + sqrt(K_I^2 + 8 K_II^2))). ``K_max`` and ``K_II`` (n,)
-    are the largest K_I and K_II at the crack's ``lengths`` (n,) [m]. The list is empty for smaller
-    angles.
+    With the largest ratio r = K_II / K_I at the crack's ``lengths`` (n,) [m], the kink angle is
+    2 arctan(2 r / (1 + sqrt(1 + 8 r^2))).
     """
-    K_I = np.maximum(K_max, SMALLEST_NORMAL)
-    kink_angles = 2.0 * np.arctan(2.0 * K_II / (K_I + np.sqrt(K_I**2 + 8.0 * K_II**2)))
+    kink_angles = 2.0 * np.arctan(2.0 * ratios / (1.0 + np.sqrt(1.0 + 8.0 * ratios**2)))
     if not np.any(is_turning := kink_angles > math.radians(10.0)):
         return []
     return [
         f"from a length of {lengths[np.argmax(is_turning)]:.4g} m on the growth is doubtful: the "
         f"straight crack would turn by up to {math.degrees(kink_angles.max()):.0f} degrees, since "
-        f"K_II_max is up to {np.max(K_II / K_I):.0%} of K_max"
+        f"K_II is up to {np.max(ratios):.0%} of K_I"
     ]

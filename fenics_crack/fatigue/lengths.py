@@ -39,7 +39,9 @@ LOG_INTERPOLATED_COLUMN_NAMES = ("driving", "K_max", "delta_K_effective", "respo
 
 "driving" is the constant range of K_I with the same growth as all loads.
 """
-VALUE_INTERPOLATED_COLUMN_NAMES = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
+VALUE_INTERPOLATED_COLUMN_NAMES = (
+    "omega", "omega_open", "omega_bilinear", "K_min", "K_II_max", "K_II_ratio",
+)  # fmt: skip
 """Columns with a spline of the values themselves."""
 GROWTH_SWEEP_COLUMN_NAMES = (
     "K_max",

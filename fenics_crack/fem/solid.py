@@ -244,6 +244,20 @@ def find_ray_hit_distance(point: np.ndarray, direction: np.ndarray, triangles: n
     return float(hit_distances[is_hit].min(initial=longest_box_side))
 
 
+def find_section_ahead(scene: Scene) -> float:
+    """Return how thick a part is straight ahead of the first crack, from its point [m].
+
+    The section is measured on the file's triangles, along the crack's depth.
+    """
+    crack = _make_mesher_cracks(scene, 1.0)[0]
+    geometry, depth_direction = scene.geometry, np.array(crack["frame"][1])
+    triangles = read_part_triangles_and_owners(str(geometry.file), geometry.unit)["triangles"]
+    return min(
+        find_ray_hit_distance(np.array(crack["middle"]), direction, triangles)
+        for direction in (depth_direction, -depth_direction)
+    )
+
+
 def find_reaches_from_crack_middle(scene: Scene) -> tuple[float, float]:
     """Measure how far the solid reaches from the first crack's middle, in the crack's plane.
 

@@ -278,11 +278,12 @@ class CrackTipHistory(NamedTuple):
         The equivalent range is included only with a growth law, and "K_III_max" only in a solid.
         """
         excluded_flags = IN_FILES_ONLY if self.growth_law is not None else REQUIRES_GROWTH_LAW
-        return read_observables(
+        value_by_name = read_observables(
             Place.MOST_LOADED_TIP,
             self,
             excluded_flags | (REQUIRES_SOLID if self.K_III is None else IN_FILES_ONLY),
         )
+        return {k: value for k, value in value_by_name.items() if not k.endswith("_leading")}
 
 
 def compute_crack_tip_histories(
@@ -397,6 +398,7 @@ def estimate_closed_front_and_mesh_errors(
     difference_by_name = {}
     for quantity_name in quantity_names:
         station_quantity_name = quantity_name.removesuffix("_deepest").removesuffix("_surface")
+        station_quantity_name = station_quantity_name.replace("_leading", "_max")
         mesh_differences_by_front_list = [
             np.interp(
                 relative_positions,
@@ -593,23 +595,29 @@ def _make_tip_intensity_rows_and_reader(study: Study) -> ExtraRows:
     """Make stress intensity rows at crack tips, and a function to read numbers (collective).
 
     The function returns numbers by name, such as "K_max" [Pa m^1/2], from a motion's record. The
-    numbers belong to the tip or station with the largest range of positive K_I. In a solid, K_max
-    is the largest K_I of all stations, which decides on fracture.
+    numbers belong to the tip or station with the largest range of positive K_I, but those that the
+    name calls largest: K_II, K_III and their ratio of all tips, and K_max of all stations in a
+    solid, which decides on fracture.
     """
     tips, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
 
     def read_leading_tip_numbers(record: MotionRecord) -> dict[str, float]:
         """Return the stress intensity numbers [Pa m^1/2] of the leading tip, such as "K_max".
 
-        The leading tip has the largest range of positive K_I. In a solid "K_max" is the maximum
-        over all stations of the fronts.
+        The leading tip has the largest range of positive K_I. The largest K_II and K_III are of all
+        tips, in a solid "K_max", too. The ratio is of tips with a tenth of the largest K_I or more.
         """
         tip_histories = compute_crack_tip_histories(record, tips, force_rows, study.scene.growth)
         value_by_name = tip_histories[leading_crack_tip_index(tip_histories)].value_by_name()
+        values = tabulate_stress_intensity_values(tip_histories)
+        for name in ("K_II_max", "K_III_max"):
+            if name in value_by_name:
+                value_by_name[name.replace("max", "leading")] = value_by_name[name]
+                value_by_name[name] = float(values[name].max())
+        grows = values["K_max"] >= 0.1 * values["K_max"].max()
+        value_by_name["K_II_ratio"] = float(values["K_II_ratio"][grows].max())
         if study.scene.dimension == 3:  # under a mean load it may be largest at another station
-            value_by_name["K_max"] = max(
-                float(tip_history.K_I.max()) for tip_history in tip_histories
-            )
+            value_by_name["K_max"] = float(values["K_max"].max())
         return value_by_name
 
     return ExtraRows(displacement_rows, read_leading_tip_numbers)
