@@ -129,6 +129,8 @@ class Growth(SavableResult):
         Doubts about the growth, as sentences.
     depth : (n,) [m] or None
         Depth of a half- or quarter-ellipse in a solid; None for other cracks.
+    left_out : tuple of str
+        Causes of error that are not among ``errors``, such as "mesh" and "friction".
     """
 
     scene: Scene
@@ -149,6 +151,7 @@ class Growth(SavableResult):
     errors: dict[str, float]
     remarks: tuple[str, ...]
     depth: np.ndarray | None = None
+    left_out: tuple[str, ...] = ()
 
     KIND: ClassVar[str] = "crack growth"
     frequency, frequency_open = hertz_property(), hertz_property("omega_open")
@@ -239,6 +242,8 @@ class Growth(SavableResult):
         )
         if cause_texts:
             certainty_text += f" (standard deviations of its logarithm: {', '.join(cause_texts)})"
+        if self.left_out:
+            certainty_text += f", which leaves out the errors due to {' and '.join(self.left_out)}"
         return Conclusion(
             f"the crack grows {growth_text}: {TEXT_BY_GROWTH_END[self.end]}",
             certainty_text,
@@ -381,7 +386,7 @@ def grow(
     lengths, cycles, end_reason = length_path.integrate_cycles_to_end()
     half_life_length = float(np.interp(0.5 * cycles[-1], cycles, lengths))
     load_omega = length_path.find_load_omega(half_life_length)
-    stress_intensity_range_error, missing_error_remarks = on_root(
+    stress_intensity_range_error, missing_error_remarks, left_out = on_root(
         comm,
         lambda: _estimate_range_error_and_remarks(
             scene_without_sweep, "delta_K_equivalent", load_omega, half_life_length
@@ -417,6 +422,7 @@ def grow(
         solved=length_path.lengths,
         errors=error_by_cause,
         remarks=(*growth_remarks, *missing_error_remarks),
+        left_out=left_out,
         **_get_values_by_growth_field(values_by_column, cycles),
     )
 
@@ -587,7 +593,7 @@ def _grow_ellipse(
     }
     half_life_index = int(np.searchsorted(cycles, 0.5 * cycles[-1]))
     fastest_direction = int(ellipse_path.growth_per_cycle[half_life_index].argmax())
-    stress_intensity_range_error, missing_error_remarks = on_root(
+    stress_intensity_range_error, missing_error_remarks, left_out = on_root(
         comm,
         lambda: _estimate_range_error_and_remarks(
             scene,
@@ -622,6 +628,7 @@ def _grow_ellipse(
         solved=depth_length_grid[sweep_result.converged],
         errors=error_by_cause,
         remarks=(*remark_texts, *missing_error_remarks),
+        left_out=left_out,
         depth=ellipse_path.depth,
         **_get_values_by_growth_field(values_by_column, cycles),
     )
@@ -727,7 +734,7 @@ def _make_scene_with_crack_size(
 
 def _estimate_range_error_and_remarks(
     scene: Scene, quantity_name: str, omega: float, length: float, depth: float | None = None
-) -> tuple[float, list[str]]:
+) -> tuple[float, list[str], tuple[str, ...]]:
     """Solve a crack size, and estimate the relative error of a range of K_I.
 
     Errors by friction and by further parameters are not estimated.
@@ -750,6 +757,8 @@ def _estimate_range_error_and_remarks(
         Relative error (:meth:`Verification.stated`); nan if unknown.
     list of str
         A remark on causes without an estimate; empty if all have one.
+    tuple of str
+        The causes without an estimate, and friction if the scene has none.
     """
     solved_run = solve(_make_scene_with_crack_size(scene, omega, length, depth), MPI.COMM_SELF)
     is_at_peak = scene.given("growth").drive == "resonance"
@@ -761,7 +770,9 @@ def _estimate_range_error_and_remarks(
         if error_statement.omitted_causes_and_reasons_text
         else []
     )
-    return error_statement.stated(quantity_name)[0], missing_error_remarks
+    left_out = tuple(f"the {cause}" for cause in error_statement.unknown)
+    left_out += () if scene.has_friction else ("friction",)
+    return error_statement.stated(quantity_name)[0], missing_error_remarks, left_out
 
 
 def _collect_growth_remarks(

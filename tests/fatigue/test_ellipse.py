@@ -261,6 +261,7 @@ def test_growth_of_a_table(swept: SimpleNamespace) -> None:
         "deep" in found.build_conclusion().computation_outcome and "crack_depth" in found.to_dict()
     )
     assert not found.remarks
+    assert "leaves out the errors due to" in found.build_conclusion().answer
 
 
 @pytest.mark.usefixtures("swept")
