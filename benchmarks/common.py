@@ -31,6 +31,10 @@ from matplotlib.figure import Figure
 
 import fenics_crack as fc
 from fenics_crack.balance.error_report import mean_square
+from fenics_crack.balance.harmonic_balance import truncated_orbit_solution
+from fenics_crack.balance.more_modes import MoreModesComparison
+from fenics_crack.motion.flow import exact_flow_or_none
+from fenics_crack.motion.search import search_orbit
 from fenics_crack.numerics.fourier import resize_harmonics
 
 DEMOS = Path(__file__).parents[1] / "demos"
@@ -233,3 +237,18 @@ def relative_difference(values: np.ndarray, reference: np.ndarray) -> float:
         resize_harmonics(reference, harmonics),
     )
     return float(np.sqrt(mean_square(rows - reference_rows) / mean_square(reference_rows)))
+
+
+def with_more_modes(orbit: fc.PeriodicOrbit, study: fc.Study) -> fc.PeriodicOrbit:
+    """Return the orbit of a study with more modes that is next to another orbit."""
+    problem = fc.Problem(orbit.structure, orbit.omega, study.contact, 5)
+    wave = truncated_orbit_solution(problem, orbit, orbit.coefficients(5))
+    more_modes = MoreModesComparison(
+        exact_flow_or_none(study.structure, study.contact), wave, orbit
+    )
+    start_states = more_modes.nearest_orbit_states_with_static_new_modes
+    orbit_with_more_modes = (
+        more_modes.orbit or search_orbit(more_modes.flow, orbit.omega, [start_states]).orbit
+    )
+    assert orbit_with_more_modes is not None
+    return orbit_with_more_modes

@@ -39,11 +39,7 @@ from typing import Any
 import common
 
 import fenics_crack as fc
-from fenics_crack.balance.harmonic_balance import truncated_orbit_solution
-from fenics_crack.balance.more_modes import MoreModesComparison
 from fenics_crack.draw.figure import CURVE_COLOUR_CODE_BY_NAME
-from fenics_crack.motion.flow import exact_flow_or_none
-from fenics_crack.motion.search import search_orbit
 from fenics_crack.study.meshes import refine_scene_or_none
 
 ROOT = Path(__file__).parents[1]
@@ -248,23 +244,8 @@ def reference(demo: str, mesh: bool, friction: bool, modes: tuple[int, ...]) -> 
     motion = solution.orbit or solution
     for count in modes[1:]:
         study = fc.prepare(scene.replace({"reduction.modes": count}))
-        motion, dof = with_more_modes(motion, study), study.watched[0].dof
+        motion, dof = common.with_more_modes(motion, study), study.watched[0].dof
     return float(motion.amplitude(dof))
-
-
-def with_more_modes(orbit: fc.PeriodicOrbit, study: fc.Study) -> fc.PeriodicOrbit:
-    """Return the orbit of a study with more modes that is next to another orbit."""
-    problem = fc.Problem(orbit.structure, orbit.omega, study.contact, 5)
-    wave = truncated_orbit_solution(problem, orbit, orbit.coefficients(5))
-    more_modes = MoreModesComparison(
-        exact_flow_or_none(study.structure, study.contact), wave, orbit
-    )
-    start_states = more_modes.nearest_orbit_states_with_static_new_modes
-    orbit_with_more_modes = (
-        more_modes.orbit or search_orbit(more_modes.flow, orbit.omega, [start_states]).orbit
-    )
-    assert orbit_with_more_modes is not None
-    return orbit_with_more_modes
 
 
 # --- what is kept of them -------------------------------------------------------------------------

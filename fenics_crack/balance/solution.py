@@ -31,12 +31,18 @@ from fenics_crack.model.contact import (
     is_unilateral,
     split_pairs_into_layers,
 )
-from fenics_crack.model.modal import is_small
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import STIFFNESS_SOLUTION_ROUNDING
+from fenics_crack.motion.energy import EnergyBudget, far_frequency, load_works, series_work
 from fenics_crack.motion.motions import MotionRecord, ObservedMotion
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.motion.search import SearchOptions
-from fenics_crack.numerics.fourier import evaluate_series, resize_harmonics, sample_period
+from fenics_crack.numerics.fourier import (
+    differentiate,
+    evaluate_series,
+    resize_harmonics,
+    sample_period,
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -258,6 +264,9 @@ class PeriodicSolution(PeriodicMotion, ObservedMotion, Described):
                 ) @ static_motion_per_force.T
             return row_products, gap, force
 
+        exact_numbers = self.energy_budget.shares if self.energy_budget else {}
+        if instants is None and self.orbit is not None:
+            exact_numbers |= self.orbit.friction_number_by_name
         n_instants = instants or len(self.instants())
         period_fractions = np.arange(n_instants) / n_instants
         row_products, gap, force = motion_gap_and_force(
@@ -269,10 +278,37 @@ class PeriodicSolution(PeriodicMotion, ObservedMotion, Described):
             friction_coefficient=friction_coefficient,
             # Friction forces follow from earlier ones.
             evaluate_at_period_fractions=evaluate_at if friction_coefficient is None else None,
-            exact_number_by_name=(
-                {} if instants or self.orbit is None else self.orbit.friction_number_by_name
-            ),
+            exact_number_by_name=exact_numbers,
         )  # fmt: skip
+
+    @cached_property
+    def energy_budget(self) -> EnergyBudget | None:
+        """Work of the load and its losses in a period, of the exact orbit if the solution is one.
+
+        None without contact pairs, and for a large structure that is not reduced.
+        """
+        if self.orbit is not None:
+            return self.orbit.energy_budget
+        if not self.gap_coefficients.size or not is_small(self.structure):
+            return None
+        modes = all_modes(self.structure).with_fast_modes_quasi_static(self.static_above)
+        u, structure = self._denoised_displacement_coefficients, self.structure
+        products = structure.sum_over_ranks(u @ structure.force.T)
+        q = u @ modes.shapes_inverse.T
+        damping_forces = modes.damping_force(differentiate(q, self.base_omega))
+        friction = np.zeros(0)
+        if self.tangential_force_coefficients is not None:
+            assert self.tangential_gap_coefficients is not None
+            friction = series_work(
+                self.tangential_force_coefficients, self.tangential_gap_coefficients
+            )
+        return EnergyBudget(
+            *load_works(products, self.subharmonic),
+            series_work(damping_forces, q),
+            friction,
+            np.sqrt(modes.squares.clip(0.0)),
+            far_frequency(structure, self.omega),
+        )
 
     @property
     def _denoised_displacement_coefficients(self) -> np.ndarray:

@@ -174,6 +174,13 @@ class Observables:
     slip_share: Any = _make_face_row(
         "share of the period in which pairs slip, mean over pairs", "1",
         lambda faces: faces.is_slipping_at_instants.mean(), PRINTED_WITH_ERROR | REQUIRES_FRICTION)
+    near_share: Any = _make_face_row("share of the load's work lost in modes near the load", "1",
+        lambda _: np.nan)
+    far_share: Any = _make_face_row(
+        "share of the load's work lost in modes above 5 times its frequency", "1",
+        lambda _: np.nan, IN_PRINTED_TABLE)
+    rub_share: Any = _make_face_row("share of the load's work lost by friction", "1",
+        lambda _: np.nan, IN_PRINTED_TABLE | REQUIRES_FRICTION)
 
 
 OBSERVABLES_BY_NAME: dict[str, Observable] = {

@@ -16,7 +16,8 @@ from fenics_crack.scene.tables import Damping, Excitation, add_harmonics
 def damping_rule_of(table: Damping) -> DampingRule:
     """Convert a scene's table ``[damping]`` to modal or Rayleigh damping."""
     if table.ratio is not None:
-        return ModalDamping(table.ratio, None if table.modes == "all" else int(table.modes))
+        n_modes = None if table.modes == "all" else int(table.modes)
+        return ModalDamping(table.ratio, n_modes, table.stiffness or 0.0)
     if table.ratios is not None and table.omegas is not None:
         return RayleighDamping.from_ratios(table.ratios, table.omegas)
     return RayleighDamping(table.mass or 0.0, table.stiffness or 0.0)

@@ -789,7 +789,7 @@ def damped_count_and_max_omega_or_none(structure: Structure) -> tuple[int, float
     if isinstance(damping_rule, RayleighDamping):
         return None if damping_rule.mass or damping_rule.stiffness else (0, 0.0)
     if isinstance(damping_rule.ratio, float) and damping_rule.modes in (None, structure.n_modes):
-        return None if damping_rule.ratio else (0, 0.0)
+        return None if damping_rule.ratio or damping_rule.stiffness else (0, 0.0)
     modally_damped_modes = modes_with_modal_damping(structure)
     assert modally_damped_modes is not None
     # A smaller rate is rounding of a projection.

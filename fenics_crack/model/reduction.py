@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -335,7 +336,7 @@ def _uniform_damping_rule_or_none(structure: Structure) -> DampingRule | None:
     if not isinstance(damping, ModalDamping) or damping.modes not in (None, structure.n_dofs):
         return None
     if isinstance(damping.ratio, float):
-        return ModalDamping(damping.ratio)
+        return replace(damping, modes=None)
     if structure.n_dofs <= MAX_DENSE_SIZE:
         return None
     problem_text = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"

@@ -65,7 +65,7 @@ from fenics_crack.model.nodes import (
 @keep_old_attribute_names(for_modes="rule_for_n_modes")
 @dataclass(frozen=True)
 class ModalDamping:
-    """Damping C = M Phi diag(2 xi_j omega_j) Phi^T M, never formed.
+    """Damping C = M Phi diag(2 xi_j omega_j + b omega_j^2) Phi^T M, never formed.
 
     Phi holds mass-normalised modes with the frequencies omega_j. M is the mass.
 
@@ -75,15 +75,19 @@ class ModalDamping:
         xi_j, relative to critical damping: one for all modes, or one per mode.
     modes : int or None
         Number of damped modes, the lowest ones. None: all.
+    stiffness : float
+        b [s]: adds b omega_j / 2 to each ratio, as C = b K does. Damping of materials and joints
+        rises with the frequency.
 
     Raises
     ------
     InputError
-        A ratio is negative or not finite, or ``modes`` is no whole number >= 1.
+        A ratio or ``stiffness`` is negative or not finite, or ``modes`` is no whole number >= 1.
     """
 
     ratio: float | Sequence[float]
     modes: int | None = None
+    stiffness: float = 0.0
 
     def __post_init__(self) -> None:
         ratio = floats_or_single_nan(self.ratio)
@@ -91,12 +95,13 @@ class ModalDamping:
             raise InputError("damping ratio", self.ratio, "one finite number >= 0, or one per mode")
         if self.modes is not None:
             check_count("damping modes", self.modes, 1)
+        check_number("damping stiffness", self.stiffness, 0.0)
         object.__setattr__(self, "ratio", tuple(ratio.tolist()) if ratio.ndim else float(ratio))
 
     def scaled(self, factor: float) -> ModalDamping:
-        """Return this damping with every ratio multiplied by a factor."""
+        """Return this damping multiplied by a factor."""
         ratio: Any = (factor * np.asarray(self.ratio)).tolist()
-        return replace(self, ratio=ratio)
+        return replace(self, ratio=ratio, stiffness=factor * self.stiffness)
 
     def rule_for_n_modes(self, n_modes: int) -> ModalDamping:
         """Return the damping of a reduced structure with ``n_modes`` modes.
@@ -104,19 +109,21 @@ class ModalDamping:
         Modes beyond the damped ones get the last ratio.
         """
         if isinstance(self.ratio, float):
-            return ModalDamping(self.ratio)
+            return replace(self, modes=None)
         ratio = list(self.ratio)[:n_modes]
-        return ModalDamping(tuple(ratio + ratio[-1:] * (n_modes - len(ratio))))
+        ratio += ratio[-1:] * (n_modes - len(ratio))
+        return ModalDamping(tuple(ratio), stiffness=self.stiffness)
 
     def rate(self, squares: np.ndarray) -> np.ndarray:
-        """Return the modal damping rates 2 xi omega of the damped modes: (n,) [1/s].
+        """Return the modal damping rates 2 xi omega + b omega^2 of damped modes: (n,) [1/s].
 
         Parameters
         ----------
         squares : (n,) [rad^2/s^2]
             omega^2 of these modes. With one ratio for each mode, n must be the number of ratios.
         """
-        return np.asarray(2.0 * np.asarray(self.ratio) * np.sqrt(np.maximum(squares, 0.0)))
+        squares = np.maximum(squares, 0.0)
+        return 2.0 * np.asarray(self.ratio) * np.sqrt(squares) + self.stiffness * squares
 
     def __str__(self) -> str:
         ratio_percents = 100.0 * np.asarray(self.ratio)
@@ -130,7 +137,8 @@ class ModalDamping:
             else f"{min_ratio_text} to {max_ratio_text}"
         )
         modes_text = "" if self.modes is None else f" of {self.modes} modes"
-        return f"modal damping {ratio_range_text} %{modes_text}"
+        stiffness_text = f" + {self.stiffness:.3g} s K" if self.stiffness else ""
+        return f"modal damping {ratio_range_text} %{modes_text}{stiffness_text}"
 
 
 @keep_old_attribute_names(for_modes="rule_for_n_modes")

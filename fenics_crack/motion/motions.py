@@ -92,6 +92,10 @@ class Indicators(Observables, Tabular):
     stick_share, slip_share : [-]
         Fraction of the period in which a closed pair sticks or slips, mean over all pairs; nan
         without friction.
+    near_share, far_share, rub_share : [-]
+        Shares of the load's work in a period that near modes, far modes and friction lose
+        (:mod:`fenics_crack.motion.energy`); nan without pairs, for motions in time, and for large
+        structures that are not reduced.
     """
 
     frequency = hertz_property()

@@ -47,6 +47,7 @@ from fenics_crack.basics.suggestions import keep_old_attribute_names
 from fenics_crack.basics.tables import Described, format_count, hertz_property
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.energy import EnergyBudget, far_frequency, load_works
 from fenics_crack.motion.flow import (
     FEWER_EVENTS_ADVICE,
     Budget,
@@ -64,7 +65,7 @@ from fenics_crack.numerics.equations import (
     factorise_transpose,
     solve_by_factors_of_transpose,
 )
-from fenics_crack.numerics.fourier import fourier_basis_for, fourier_coefficients
+from fenics_crack.numerics.fourier import fourier_coefficients
 from fenics_crack.numerics.newton import FORCING_TERM, change_relative_to_motion, gmres
 
 MAX_PERIODS_IN_NEWTON_SEARCH = 20
@@ -139,7 +140,7 @@ class OrbitPrediction(NamedTuple):
 @keep_old_attribute_names(
     flows="n_periods_integrated_by_newton",
     stuck="always_stuck_pair_indices",
-    work="work_of_load_and_losses",
+    work="energy_budget",
     events="n_events",
     inverse="i_minus_m_solver",
     sampled="period_samples",
@@ -330,16 +331,16 @@ class PeriodicOrbit(ObservedMotion, Described):
             values = gauss_pieces.interpolate(node_values, time)
             return np.split(values, quantity_column_splits, axis=1)
 
-        n_instants, exact_number_by_name = instants or INSTANTS_PER_PERIOD, {}
+        n_instants = instants or INSTANTS_PER_PERIOD
+        exact_numbers = self.energy_budget.shares if self.structure.n_pairs else {}
         period_fractions = np.arange(n_instants) / n_instants
         row_products, gaps_at_instants, contact_forces_at_instants = interpolate_at(
             period_fractions
         )
         if instants is None:
-            track, exact_number_by_name = self.motion.track, dict(self.friction_number_by_name)
-            exact_number_by_name |= (
-                {"closed_share": track.closed_share} if gaps_at_instants.size else {}
-            )
+            exact_numbers |= self.friction_number_by_name
+            if gaps_at_instants.size:
+                exact_numbers["closed_share"] = self.motion.track.closed_share
         yield MotionRecord(
             self.omega, self.subharmonic, self.period * period_fractions,
             fourier_coefficients(row_products, OBSERVED_HARMONICS),
@@ -347,7 +348,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             structure=self.structure,
             friction_coefficient=getattr(self.flow.friction_law, "coefficient", None),
             evaluate_at_period_fractions=interpolate_at,
-            exact_number_by_name=exact_number_by_name,
+            exact_number_by_name=exact_numbers,
         )  # fmt: skip
 
     def coefficients(self, harmonics: int) -> RealFourierCoefficients:
@@ -448,33 +449,27 @@ class PeriodicOrbit(ObservedMotion, Described):
         return []
 
     @cached_property
-    def work_of_load_and_losses(self) -> MechanicalWork:
-        """Return the work of load, damping and friction in the period [J].
+    def energy_budget(self) -> EnergyBudget:
+        """Work of load, damping and friction in the period.
 
-        Work is a force times a rate, integrated over time. Gauss quadrature is exact to rounding.
-        Rates of displacements and gaps are derivatives of polynomials through the values at Gauss
-        nodes.
+        Gauss quadrature is exact to rounding. Rates of displacements and gaps are derivatives of
+        polynomials through the values at Gauss nodes.
         """
-        flow = self.flow
-        gauss_samples, gauss_pieces = self._gauss_samples_and_pieces(
-            len(flow.modal_load) // 2 * self.omega
-        )
-        load_basis = fourier_basis_for(flow.modal_load, self.omega * gauss_samples.time)
-        modal_velocities = gauss_samples.states[:, flow.n_modes :]
-        damping_power = np.sum(
-            modal_velocities * flow.modal_model.damping_force(modal_velocities), axis=1
-        )
-        damping_work = float(gauss_pieces.node_weights @ damping_power)
-        n_pairs = flow.structure.n_pairs
-        pair_friction_work = np.zeros(n_pairs)
+        flow, structure, n_pairs = self.flow, self.structure, self.structure.n_pairs
+        n_harmonics = len(structure.force) // 2 * self.subharmonic
+        products = self.product_coefficients(structure.force, n_harmonics)
+        samples, pieces = self._gauss_samples_and_pieces(len(structure.force) // 2 * self.omega)
+        v = samples.states[:, flow.n_modes : 2 * flow.n_modes]
+        friction = np.zeros(0)
         if flow.friction_law:
-            pair_friction_work = gauss_pieces.work(
-                gauss_samples.forces[:, n_pairs:], gauss_samples.gaps[:, n_pairs:]
-            )
-        load_work = float(
-            gauss_pieces.work(load_basis, gauss_samples.row_products(flow.structure.force)).sum()
+            friction = pieces.work(samples.forces[:, n_pairs:], samples.gaps[:, n_pairs:])
+        return EnergyBudget(
+            *load_works(products, self.subharmonic),
+            pieces.node_weights @ (v * flow.modal_model.damping_force(v)),
+            friction,
+            np.sqrt(flow.modal_model.squares.clip(0.0)),
+            far_frequency(structure, self.omega),
         )
-        return MechanicalWork(load_work, damping_work, pair_friction_work)
 
     @cached_property
     def friction_number_by_name(self) -> dict[str, float]:
@@ -491,7 +486,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         is_sticking = np.any(slider_states == kernel.STICK, axis=1)
         is_slipping = np.any(slider_states > kernel.STICK, axis=1) & ~is_sticking
         return {
-            "friction_loss": float(self.work_of_load_and_losses.friction.sum()),
+            "friction_loss": float(self.energy_budget.friction.sum()),
             "stick_share": track.mean_time_share_of_pairs(is_sticking),
             "slip_share": track.mean_time_share_of_pairs(is_slipping),
         }
@@ -535,23 +530,6 @@ class PeriodicOrbit(ObservedMotion, Described):
             f"{multiplier_text}, {format_count(self.n_events, 'event')}, "
             f"residual {self.residual:.2g}"
         )
-
-
-class MechanicalWork(NamedTuple):
-    """Work in a period.
-
-    Attributes
-    ----------
-    load, damping : float [J]
-        Work done by the load, and lost by damping.
-    friction : (n_pairs,) [J]
-        Work lost by each pair's friction: friction force times tangential gap rate, integrated.
-        The load's work is the sum of all losses.
-    """
-
-    load: float
-    damping: float
-    friction: np.ndarray
 
 
 class RealFourierCoefficients(NamedTuple):

@@ -24,7 +24,7 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.curves.curve import ResponseCurve, axis_factor_name_and_unit
 from fenics_crack.curves.peak import RISING_AT_END_TEXT
-from fenics_crack.errors.numbers import natural_frequency_name
+from fenics_crack.errors.numbers import find_accepted_orbit_or_none, natural_frequency_name
 from fenics_crack.errors.stated import describe_unknown_error_part
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.modal import is_small
@@ -83,6 +83,8 @@ class StudyWithResult(Study):
 MIN_REPORTED_AMPLITUDE_CHANGE_BY_FRICTION = 0.01
 """Smallest relative change of the watched amplitude by friction that a closing sentence states, if
 the scene leaves friction out. A larger tolerance of harmonic balance replaces this limit."""
+MAX_UNREMARKED_FAR_SHARE = 0.1
+"""Share of the load's work in far modes above which a closing sentence names it."""
 LINEAR_VIBRATION_TEXT = "no contact pair opens and closes: the vibration is linear"
 
 
@@ -303,6 +305,31 @@ def _list_opening_and_stability_sentences(
     return [
         *sentences,
         *list_stability_sentences(solution.stability, solution.amplitude(run.watched_dof)),
+        *_list_energy_sentences(run, solution),
+    ]
+
+
+def _list_energy_sentences(run: StudyWithResult, solution: PeriodicSolution) -> list[str]:
+    """Return a list with the sentence on energy lost in far modes, else an empty list.
+
+    Far modes (:mod:`fenics_crack.motion.energy`) lose more than a tenth of the load's work, and
+    their damping ratio does not rise with frequency.
+    """
+    damping, motion = run.scene.damping, None
+    if damping is None or damping.ratio is None or damping.stiffness:
+        return []
+    if run.stated is not None:  # the orbit was sought
+        motion = find_accepted_orbit_or_none(solution)
+    budget = (motion or solution).energy_budget
+    if budget is None or not budget.shares["far_share"] > MAX_UNREMARKED_FAR_SHARE:
+        return []
+    far_frequency_text = frequency_in_words(run.scene, budget.far_omega)
+    share_text = format_percent(budget.shares["far_share"])
+    stiffness = 2.0 * float(np.ravel(damping.ratio)[0]) / solution.omega
+    return [
+        f"modes above {far_frequency_text} take {share_text} of the power, by a damping ratio that "
+        "is seldom measured there; with damping that rises with frequency, such as "
+        f"damping.stiffness = {stiffness:.2g} in place of damping.ratio, fewer modes are enough"
     ]
 
 

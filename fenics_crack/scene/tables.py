@@ -256,7 +256,8 @@ class Damping(Table):
 
     - Modal damping: ``ratio`` is the damping relative to critical damping, for each of the lowest
       ``modes``. With ``modes = "all"`` and one ratio, all coordinates of a reduced structure are
-      damped.
+      damped. ``stiffness`` may be added: a mode of frequency omega then has the ratio
+      ratio + stiffness omega / 2.
     - Rayleigh damping by ``mass`` and ``stiffness``, or one of both: the factors in C = mass M +
       stiffness K. C, M and K are the matrices of damping, mass and stiffness.
     - Rayleigh damping by ``ratios``: the damping ratios at the two frequencies ``omegas`` or
@@ -312,12 +313,15 @@ class Damping(Table):
         (chosen_key_group, key), *_ = given_groups_and_keys
         for key_group in key_groups:
             if key_group is not chosen_key_group:
-                self.forbid_keys(key_group, f"damping.{key} = {getattr(self, key)}")
+                forbidden_keys = [one for one in key_group if (key, one) != ("ratio", "stiffness")]
+                self.forbid_keys(forbidden_keys, f"damping.{key} = {getattr(self, key)}")
         if self.ratio is None:
             self.require(
                 self.modes == "all", "modes", f"left out with damping.{key}, which damps all modes"
             )
-        elif isinstance(self.ratio, tuple):
+        elif self.stiffness is not None:
+            self.require(self.modes == "all", "modes", "'all' with damping.stiffness")
+        if isinstance(self.ratio, tuple):
             self.require(
                 self.modes in ("all", len(self.ratio)),
                 "ratio",

@@ -486,6 +486,9 @@ def list_modal_damping_ratios(whole_structure: Structure, natural_omegas: np.nda
         modal_damping_ratios[:n_damped_modes] = (
             given_ratio if given_ratio.ndim == 0 else given_ratio[:n_damped_modes]
         )
+        modal_damping_ratios[:n_damped_modes] += (
+            0.5 * damping_rule.stiffness * natural_omegas[:n_damped_modes]
+        )
     return modal_damping_ratios
 
 
