@@ -6,11 +6,12 @@ work that near and far modes and friction take; then by how much doubling the mo
 share of modes below 2 to 10 times the load's frequency.
 
 ``hard``: two plates that rigid contact and a constant ratio keep from converging, with 10 to 120
-modes: amplitude and opening, their stated errors, and the true ones. The truth is the
-orbit with 400 modes, or with most for which one is found, printed with its change from fewer.
+modes: amplitude and opening, their stated errors, and the true ones. The truth is the orbit with
+400 modes, or with most for which one is found, printed with its change from fewer.
 
 ``drawn``: ten plates as in ``bound``, with 20 modes, and ten whose damping rises with frequency,
-with 40; answers that are stable alone. True over stated error of amplitude and opening; the truth is the orbit with eight, or four, times the modes, printed with its last change.
+with 40; answers that are stable alone. True over stated error of amplitude and opening; the truth
+is the orbit with eight, or four, times the modes, printed with its last change.
 ``--seed`` draws others.
 
     OMP_NUM_THREADS=1 python benchmarks/energy.py [--quick] [--only PART] [--seed N] [folder]
@@ -166,7 +167,13 @@ def run_hard(arguments: common.Arguments) -> None:
             length = fc.find_crack_length(scene)
             scene = scene.replace({"crack.length": length, "crack.first_omega": None})
         counts = (10, 20, 40) if arguments.quick else (10, 20, 40, 80, 160, 240, 320, 400)
-        *_, previous, truth = orbits_of(scene, counts)
+        orbits = orbits_of(scene, counts)
+        for orbit in orbits:
+            far_share = orbit.energy_budget.shares["far_share"]
+            print(
+                demo, f"{orbit.flow.n_modes} modes: {orbit.amplitude():.4g} m, far {far_share:.3f}"
+            )
+        *_, previous, truth = orbits
         print(demo, [orbit.flow.n_modes for orbit in (previous, truth)])
         for count in (10, 20) if arguments.quick else (10, 20, 40, 80, 120):
             run = fc.solve(scene.replace({"reduction.modes": count}))

@@ -33,9 +33,9 @@ def main(output: Path = Path("output/friction"), scene: fc.Scene | None = None) 
         found[f"peak {name} [m]"] = seen.amplitude
         found[f"its frequency, {name} [Hz]"] = peak.omega / (2.0 * np.pi)
         if name == "with friction":
+            work = solution.orbit.energy_budget
             found["loss by friction over that by damping"] = float(
-                solution.orbit.work_of_load_and_losses.friction.sum()
-                / solution.orbit.work_of_load_and_losses.damping
+                work.friction.sum() / work.damping.sum()
             )
             found["share of the period in which pairs slip"] = seen.slip_share
             fc.draw_friction_loops(solution, path=output / "loops.png", title="At the peak")

@@ -188,9 +188,9 @@ def facts(case: dict[str, Any], flow: Any, orbit: Any) -> dict[str, Any]:
         state = np.concatenate(
             [shapes @ state[:count], shapes @ state[count : 2 * count], state[2 * count :]]
         )
-    work = orbit.work_of_load_and_losses
+    work = orbit.energy_budget
     gap = orbit.gap_at(orbit.period * np.arange(INSTANTS) / INSTANTS)
-    loss = work.damping + float(np.sum(work.friction))
+    loss = float(work.damping.sum() + work.friction.sum())
     waves = orbit.coefficients(HARMONICS).gap[:, : gap.shape[1]]
     stored_orbit = stored(
         case, orbit.subharmonic, state, gap, loss, orbit.multipliers, orbit.n_events, waves

@@ -30,7 +30,7 @@ def test_exponential_steps_are_of_second_order() -> None:
         assert np.abs(slide).max() < 6e-2 * (512 / steps) ** 2 * size
         loss = history.indicators().friction_loss
         assert loss == pytest.approx(
-            orbit.work_of_load_and_losses.friction.sum(), rel=4e-3 * (1024 / steps) ** 2
+            orbit.energy_budget.friction.sum(), rel=4e-3 * (1024 / steps) ** 2
         )
     assert errors[-1] < 3.2e-4 and all(3.0 < a / b < 5.0 for a, b in pairwise(errors))
 

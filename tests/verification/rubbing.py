@@ -49,7 +49,7 @@ def jenkins_oscillator() -> list[Row]:
     exact, first_order_solution = jenkins_solution(), jenkins_solution(1)
     time = np.linspace(0.0, exact.period, 200001)
     size = float(np.ptp(exact.orbit.tangential_gap_at(time))) / 2.0
-    loss = float(exact.orbit.work_of_load_and_losses.friction[0])
+    loss = float(exact.orbit.energy_budget.friction[0])
     first_amplitude = float(np.hypot(*first_order_solution.displacement_coefficients[1:3, 0]))
     return [
         Row("half peak-to-peak, exact orbit", size, 3.69236, 5e-6, absolute=True),
