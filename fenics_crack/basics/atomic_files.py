@@ -293,7 +293,7 @@ def make_folder_until_exit() -> Path:
 
 
 def remove_file(path: Path, key: str) -> None:
-    """Remove a file if it exists, and hidden files that killed processes left beside it.
+    """Remove a file if it exists, and hidden files of killed processes in the same folder.
 
     InputError if a file cannot be removed; ``key`` names the option with the path.
     """
@@ -303,7 +303,7 @@ def remove_file(path: Path, key: str) -> None:
 
 
 def tidy_and_count_free_bytes(path: Path) -> int:
-    """Return the free space for a file [byte]; make its folder, remove what was left unfinished.
+    """Make the folder for a file, remove unfinished files there, and return the free space [byte].
 
     InputError if the folder cannot be made.
     """

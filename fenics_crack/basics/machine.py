@@ -213,9 +213,9 @@ def is_started_by_mpirun() -> bool:
 
 
 def load_openblas(cpu_info_file: Path = Path("/proc/cpuinfo")) -> None:
-    """Load NumPy, whose OpenBLAS is told which of Intel's processors it runs on.
+    """Load NumPy, and name Intel's processors for OpenBLAS.
 
-    OpenBLAS reads OPENBLAS_CORETYPE when it is loaded; some versions do not know newer processors.
+    OpenBLAS reads OPENBLAS_CORETYPE when loaded; older versions do not know newer processors.
     The variable is set for that time alone, as child processes may run on other machines, and not
     if the user has set it, or if ``cpu_info_file``, Linux's file on processors, has none of
     :data:`OPENBLAS_CORE_TYPE_AND_CPU_FLAGS`.
@@ -231,7 +231,7 @@ def load_openblas(cpu_info_file: Path = Path("/proc/cpuinfo")) -> None:
 
 
 def _find_core_type(cpu_info_file: Path) -> str | None:
-    """Return OpenBLAS's name of an Intel processor by its flags; None if it has none of them."""
+    """Return OpenBLAS's name of an Intel processor by the flags; None for other processors."""
     try:
         with cpu_info_file.open() as file:
             cpu_info_text = file.read(2**13)  # more than the first processor's lines

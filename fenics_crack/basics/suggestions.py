@@ -163,7 +163,9 @@ def find_similar_or_longer_names(
         for known_name in known_names
         if beginning_pattern.search(known_name) and len(name) >= 3
     ]
-    last_words = [one for one in known_names if name[:1].isupper() and one.endswith(name)]
+    last_words = [
+        known_name for known_name in known_names if name[:1].isupper() and known_name.endswith(name)
+    ]
     return (
         last_words
         or find_similar_names(name, known_names, min_likeness)

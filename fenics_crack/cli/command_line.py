@@ -362,7 +362,7 @@ def _call_command(
     if arguments.command not in ("check", "clean"):
         make_writable_folder(inputs.results_folder, console.comm)
     if (is_fresh_option_set := vars(arguments).get("fresh")) is not None and not (
-        inputs.prepared_study or any(one.startswith(MODES_OPTION_PREFIXES) for one in sys.argv)
+        inputs.prepared_study or any(word.startswith(MODES_OPTION_PREFIXES) for word in sys.argv)
     ):
         from fenics_crack.study.shelf import StructureFile
 

@@ -550,12 +550,14 @@ def make_writable_folder(folder: Path, comm: MPI.Comm) -> None:
     )
 
 
-def _equal_but_for_rounding(text: str, other: str) -> bool:
+def _equal_but_for_rounding(text: str, other_text: str) -> bool:
     """Return True for texts whose numbers differ by a relative 1e-9 at most, or are rounding."""
     pattern = re.compile(r"-?\d+\.?\d*(?:[eE][+-]?\d+)?")
-    if pattern.sub("0", text) != pattern.sub("0", other):
+    if pattern.sub("0", text) != pattern.sub("0", other_text):
         return False
-    numbers, other_numbers = (np.array(pattern.findall(one), float) for one in (text, other))
+    numbers, other_numbers = (
+        np.array(pattern.findall(numbers_text), float) for numbers_text in (text, other_text)
+    )
     return np.allclose(numbers, other_numbers, rtol=1e-9, atol=1e-15)
 
 

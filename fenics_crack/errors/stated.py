@@ -497,7 +497,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         m is the share of the load's work that added modes move elsewhere, W / S the power factor
         (:mod:`fenics_crack.motion.energy`).
         """
-        budgets = [one.energy_budget for one in (motion, larger_motion)]
+        budgets = [motion.energy_budget, larger_motion.energy_budget]
         if budgets[0] is None or budgets[1] is None or not budgets[0].load > 0.0:
             return {}
         moved_share = budgets[0].moved_share(budgets[1])

@@ -6,12 +6,12 @@ The load f does the work W. Modes lose D_j by damping, and rubbing pairs F_i:
     D_j = int q_j' (c q')_j dt,      F_i = int lambda_i g_i' dt
 
 with modal displacements q, c = Phi^T C Phi, friction forces lambda and tangential gaps g. Normal
-contact forces lose nothing: what is missing from the sum is the error of the integration.
+contact forces lose nothing. The sum is exact but for errors of the integration.
 
 Rigid contact sends energy into modes far above the load. Modes above 5 times the highest frequency
 in the load are called *far*. In twenty random plates near a resonance, 20 to 160 modes gave modes
 below this frequency the same share of the energy within 0.02 in the median
-(``benchmarks/energy.py``). What is above depends on damping ratios that are seldom measured.
+(``benchmarks/energy.py``). The shares above depend on damping ratios, seldom measured there.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FAR_FREQUENCY_RATIO = 5.0
 
 
 class EnergyBudget(NamedTuple):
-    """Work of the load in a period, and its losses.
+    """Work of the load in a period, and the losses.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class EnergyBudget(NamedTuple):
     def shares(self) -> dict[str, float]:
         """Shares of W by name: near modes, far modes, friction. Nan if the load does no work.
 
-        One less their sum is the share of contact, 0 but for errors of the integration.
+        The rest to 1 is the share of contact, 0 but for errors of the integration.
         """
         W = self.load if self.load > 0.0 else np.nan
         is_far = self.omega > self.far_omega
@@ -71,14 +71,14 @@ class EnergyBudget(NamedTuple):
         """W / S: 1 at a resonance, where damping alone limits the motion."""
         return self.load / self.apparent if self.apparent else 0.0
 
-    def moved_share(self, other: EnergyBudget) -> float:
-        """Return the share of W that goes elsewhere in another budget with the same lowest modes.
+    def moved_share(self, other_budget: EnergyBudget) -> float:
+        """Return the share of W that another budget with equal lowest modes gives elsewhere.
 
         Half the sum of |D_j / W - D'_j / W'| over all modes, and of friction's change.
         """
-        n = max(len(self.damping), len(other.damping))
+        n = max(len(self.damping), len(other_budget.damping))
         shares = np.zeros((2, n + 1))
-        for row, budget in zip(shares, (self, other), strict=True):
+        for row, budget in zip(shares, (self, other_budget), strict=True):
             row[: len(budget.damping)] = budget.damping / budget.load
             row[-1] = budget.friction.sum() / budget.load
         return float(0.5 * np.abs(shares[1] - shares[0]).sum())

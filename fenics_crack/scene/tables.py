@@ -313,7 +313,11 @@ class Damping(Table):
         (chosen_key_group, key), *_ = given_groups_and_keys
         for key_group in key_groups:
             if key_group is not chosen_key_group:
-                forbidden_keys = [one for one in key_group if (key, one) != ("ratio", "stiffness")]
+                forbidden_keys = [
+                    group_key
+                    for group_key in key_group
+                    if (key, group_key) != ("ratio", "stiffness")
+                ]
                 self.forbid_keys(forbidden_keys, f"damping.{key} = {getattr(self, key)}")
         if self.ratio is None:
             self.require(

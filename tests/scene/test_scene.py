@@ -255,7 +255,8 @@ BAD: list[tuple[str, dict[str, Any]]] = [
     ),
     # exactly one way to give the damping
     ("damping.mass", {"damping.mass": 10.0}),
-    ("damping.stiffness", {"damping.stiffness": 1e-6}),
+    ("damping.mass", {"damping.mass": 1e-6}),
+    ("damping.modes", {"damping.stiffness": 1e-6, "damping.modes": 3}),
     ("damping.stiffness", {"damping": {"stiffness": -1e-9}}),
     ("damping.ratios", {"damping.ratios": (0.01, 0.02)}),
     ("damping.omegas", {"damping.omegas": (1.0, 2.0)}),
