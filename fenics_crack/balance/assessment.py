@@ -19,6 +19,7 @@ a small disturbance with it. If the disturbance grows, the motion is irregular
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import fields
 from functools import cached_property, partial
 
@@ -47,7 +48,7 @@ from fenics_crack.motion.orbit import (
     is_orbit_search_affordable,
     predict_orbit_by_newton_step,
 )
-from fenics_crack.motion.search import series_states_at_period_parts
+from fenics_crack.motion.search import search_orbit, series_states_at_period_parts
 from fenics_crack.numerics.equations import COARSE_TOLERANCE
 from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.numerics.newton import change_relative_to_motion
@@ -234,6 +235,12 @@ class Assessment:
             return self.exact_orbit, True
         if self._orbit_from_solution is not None:
             return self._orbit_from_solution, self.close_orbit is not None
+        if not self.wave.structure.has_massless_crack_faces:
+            orbit = self._search_more_harmonics()
+            is_close = orbit is not None and (
+                relative_gap_distance(self.wave, orbit) <= self._allowed_orbit_distance
+            )
+            return (orbit, True) if is_close else (None, False)
         finer_assessment = self._assessment_with_twice_harmonics()
         if not (finer_assessment and finer_assessment.is_accepted):
             return None, False
@@ -302,18 +309,36 @@ class Assessment:
         )
         return next(filter(None, orbit_or_none_iterator), None)
 
+    def _search_more_harmonics(self) -> PeriodicOrbit | None:
+        """Search for an exact orbit from this solution, also with up to four times the harmonics.
+
+        Of crack faces with mass, Newton's method from the solution alone may fail by the eighth
+        digit of the frequency. None: orbits cannot be searched, or the search fails.
+        """
+        if not self.can_search_orbit or self._n_harmonic_doublings < 1:
+            return None
+        assert self.flow is not None
+
+        def state_guesses() -> Iterator[np.ndarray]:
+            """Yield the states of the solution, then with more harmonics."""
+            wave: PeriodicMotion | None = self.wave
+            for _ in range(self._n_harmonic_doublings):
+                wave = wave and wave_with_twice_the_harmonics(wave)
+                if wave is not None:
+                    yield Assessment(wave, flow=self.flow).states_at_period_parts
+
+        return search_orbit(
+            self.flow, self.wave.omega, state_guesses(), self.wave.subharmonic, prefer_stable=False
+        ).orbit
+
     def _assessment_with_twice_harmonics(self) -> Assessment | None:
         """Return the assessment of the solution with twice the harmonics, or None.
 
-        None: crack faces have mass, orbits cannot be searched, the harmonics were doubled twice
-        already, or Newton's method does not converge with twice the harmonics.
+        None: orbits cannot be searched, the harmonics were doubled twice already, or Newton's
+        method does not converge with twice the harmonics.
         """
         flow, n_doublings_left = self.flow, self._n_harmonic_doublings - 1
-        if (
-            flow is None
-            or n_doublings_left < 0
-            or not (flow.structure.has_massless_crack_faces and self.can_search_orbit)
-        ):
+        if flow is None or n_doublings_left < 0 or not self.can_search_orbit:
             return None
         finer_wave = wave_with_twice_the_harmonics(self.wave)
         return (
