@@ -15,8 +15,10 @@ stress intensities are integrals over straight cells. At small faces, curved cel
 
 import ctypes
 import math
+import re
 from collections.abc import Iterable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import gmsh
@@ -31,6 +33,16 @@ FrontData = dict[str, Any]
 
 MILLIMETRES_BY_UNIT = {"m": 1e3, "mm": 1.0, "inch": 25.4}
 """Length in mm of each unit that a user may state for a CAD file without a unit."""
+EXTERNAL_REFERENCE = re.compile(
+    rb"(?i)DOCUMENT_FILE|DCMFL|PRODUCT_DEFINITION_WITH_ASSOCIATED_DOCUMENTS|PDWAD"
+)
+"""Words of STEP, also in short, without which OpenCASCADE opens no other file than the given one."""
+STRING_OR_COMMENT = re.compile(rb"(?s)'.*?(?:'(?=[ \n\r]*[),])|\Z)|/\*.*?(?:\*/|\Z)")
+"""Strings and comments of STEP, with the ends that OpenCASCADE sees."""
+INFINITE_NUMBER = re.compile(
+    rb"(?i)\b(?:nan|inf)\w*(?![.\w]|\s*\()|\d\.?e\+?0*(?:[3-9]\d\d|\d{4})"
+)
+"""Number that is not finite, or nearly so; not the enumeration .INF. or an entity of STEP, INF()."""
 CELLS_PER_CUBED_LENGTH = 5.0
 """Number of tetrahedra with edge length h in a volume h^3."""
 COARSE_TRIANGLES_PER_DIAGONAL = 25.0
@@ -173,8 +185,18 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
 def _import_part(path: str, unit: str) -> Tags:
     """Import a CAD file's single solid into gmsh, scaled to mm; Refusal for other contents.
 
-    ``unit`` is a key in ``MILLIMETRES_BY_UNIT``. Returns the solid's dimension and tag in a list.
+    The text is read first: gmsh would open all files that a STEP file names, and may never return
+    from a NAN. ``unit`` is a key in ``MILLIMETRES_BY_UNIT``. Returns the solid's dimension and tag in a list.
     """
+    text = Path(path).read_bytes()
+    if not path.endswith(".brep"):
+        if word := EXTERNAL_REFERENCE.search(text):
+            requirement = f"a part that names no other files, as this one does by {word[0].decode()}"
+            raise Refusal("geometry.file", f"{requirement}; export it again without references")
+        text = STRING_OR_COMMENT.sub(b" ", text)
+    if word := INFINITE_NUMBER.search(text):
+        number = word[0][:20].decode(errors="replace")
+        raise Refusal("geometry.file", f"a part whose numbers are finite; this one has {number}")
     gmsh.model.add("part")
     gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
     try:
