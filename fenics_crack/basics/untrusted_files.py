@@ -362,7 +362,7 @@ def _yield_lines_up_to_total_length(file: TextIO, max_characters: int) -> Iterat
 def run_reader_for_arrays(
     reader_file: Path, path: Path, max_seconds: int, base_memory_bytes: int = 2**30, **request: Any
 ) -> dict[str, np.ndarray] | str:
-    """Read a file in a separate process with limited memory and time, which works in its folder.
+    """Read a file in a separate process, with limited memory and time, in the file's folder.
 
     Parameters
     ----------
