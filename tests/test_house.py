@@ -53,6 +53,7 @@ EXCEPTIONS = {
     "fenics_crack.cli.command_line _redirect_stdout_to_null": "/dev/null",
     "fenics_crack.draw.figure Picture.save_with_title.write_file": "draws into memory",
     "fenics_crack.fem.plate write_msh": "gmsh writes to the hidden place of whole_file",
+    "fenics_crack.fem.solid_mesher _import_part": "the program of its own that reads a copy",
     "fenics_crack.fem.solid_mesher read": "the program of its own that reads a copy",
     "fenics_crack.kernel.build make_builder": "has no package yet",
     "fenics_crack.kernel.build sort_headers": "has no package yet",

@@ -101,6 +101,12 @@ class Observable:
     read_number_at_place: Callable[[Any], Any] = float
     flags: ObservableTableFlag = IN_FILES_ONLY
 
+    @property
+    def needs_crack(self) -> bool:
+        """True if the number has no meaning without a crack, as a stress intensity."""
+        is_at_tip = self.place in (Place.MOST_LOADED_TIP, Place.DEEPEST_PLACE_AND_ELLIPSE_ENDS)
+        return is_at_tip or REQUIRES_FRICTION in self.flags
+
     def __repr__(self) -> str:
         return f"{self.words} [{self.unit}]"
 

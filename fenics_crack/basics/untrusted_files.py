@@ -362,7 +362,7 @@ def _yield_lines_up_to_total_length(file: TextIO, max_characters: int) -> Iterat
 def run_reader_for_arrays(
     reader_file: Path, path: Path, max_seconds: int, base_memory_bytes: int = 2**30, **request: Any
 ) -> dict[str, np.ndarray] | str:
-    """Read a file in a separate process with limited memory and time.
+    """Read a file in a separate process, with limited memory and time, in the file's folder.
 
     Parameters
     ----------
@@ -391,8 +391,8 @@ def run_reader_for_arrays(
     """
     max_array_bytes = max_allowed_unpacked_bytes(regular_file_size(path, None))
     request_entries = {
-        "folder": os.getcwd(),
-        "path": str(path),
+        "folder": str(path.absolute().parent),
+        "path": str(path.absolute()),
         "seconds": max_seconds,
         "wait": 4 * max_seconds,
         "most": max_array_bytes,

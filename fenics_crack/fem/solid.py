@@ -24,7 +24,11 @@ import numpy as np
 from fenics_crack.basics.errors import InputError, report_read_errors
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.tables import format_quantity
-from fenics_crack.basics.untrusted_files import read_first_bytes, run_reader_for_arrays
+from fenics_crack.basics.untrusted_files import (
+    copy_to_temporary_folder,
+    read_first_bytes,
+    run_reader_for_arrays,
+)
 from fenics_crack.fem import compat, solid_mesher
 from fenics_crack.fem.blocks import (
     RIM_SIDE_NAMES,
@@ -331,7 +335,7 @@ def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
 def _run_mesher(
     path: str, mesher_request: dict[str, Any], scene: Scene | None = None
 ) -> dict[str, np.ndarray]:
-    """Run ``solid_mesher.py`` on a CAD file in a separate process.
+    """Run ``solid_mesher.py`` on a copy of a CAD file, alone in a folder, in a separate process.
 
     Parameters
     ----------
@@ -354,29 +358,32 @@ def _run_mesher(
         The file is unusable, a key's value is refused, or the mesher takes more than 600 s or 8
         GiB.
     """
-    with report_read_errors(
-        "geometry.file", path, "a CAD file with a part that gmsh can read and mesh"
+    file_ending = Path(path).suffix.lower()
+    with (
+        report_read_errors(
+            "geometry.file", path, "a CAD file with a part that gmsh can read and mesh"
+        ),
+        copy_to_temporary_folder(path, f"part{file_ending}") as file_copy,
     ):
-        required_text_at_file_start = FILE_MARK_BY_ENDING.get(
-            Path(path).suffix.lower(), b"ISO-10303-21"
-        )
-        if required_text_at_file_start not in read_first_bytes(path, 4096):
+        if FILE_MARK_BY_ENDING.get(file_ending, b"ISO-10303-21") not in read_first_bytes(
+            file_copy, 4096
+        ):
             raise ValueError("it does not begin as a STEP or BREP file")
         array_by_name = run_reader_for_arrays(
             Path(solid_mesher.__file__),
-            Path(path),
+            file_copy,
             ALLOWED_MESHING_SECONDS,
             ALLOWED_MESHING_BYTES,
             request=mesher_request,
         )
         if isinstance(array_by_name, str):
-            raise ValueError(array_by_name)
+            raise ValueError(array_by_name.replace(str(file_copy), path))
     if "refused" in array_by_name:
         refused_key, requirement = map(str, array_by_name["refused"])
         raise InputError(
             refused_key,
             path if scene is None else _value_for_message(scene, refused_key),
-            requirement,
+            requirement.replace(str(file_copy), path),
         )
     return array_by_name
 

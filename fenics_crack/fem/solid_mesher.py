@@ -15,8 +15,10 @@ stress intensities are integrals over straight cells. At small faces, curved cel
 
 import ctypes
 import math
+import re
 from collections.abc import Iterable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import gmsh
@@ -31,6 +33,14 @@ FrontData = dict[str, Any]
 
 MILLIMETRES_BY_UNIT = {"m": 1e3, "mm": 1.0, "inch": 25.4}
 """Length in mm of each unit that a user may state for a CAD file without a unit."""
+EXTERNAL_REFERENCE = re.compile(
+    rb"(?i)DOCUMENT_FILE|DCMFL|PRODUCT_DEFINITION_WITH_ASSOCIATED_DOCUMENTS|PDWAD"
+)
+"""Words of STEP, also in short, without which OpenCASCADE opens the given file alone."""
+STRING_OR_COMMENT = re.compile(rb"(?s)'.*?(?:'(?=[ \n\r]*[),])|\Z)|/\*.*?(?:\*/|\Z)")
+"""Strings and comments of STEP, with the ends that OpenCASCADE sees."""
+INFINITE_NUMBER = re.compile(rb"(?i)\b(?:nan|inf)\w*(?![.\w]|\s*\()|\d\.?e\+?0*(?:[3-9]\d\d|\d{4})")
+"""A number from 1e300, or none; but no enumeration or entity of STEP, as .INF. and INFO()."""
 CELLS_PER_CUBED_LENGTH = 5.0
 """Number of tetrahedra with edge length h in a volume h^3."""
 COARSE_TRIANGLES_PER_DIAGONAL = 25.0
@@ -44,6 +54,8 @@ MIN_ELEMENT_ON_CURVED_FACE_TO_SIZE = 0.1
 """Minimum element length on curved faces, relative to ``mesh.size``."""
 MIN_LIGAMENT_PER_ELEMENT_LENGTH = 0.1
 """Minimum distance between crack front and part surface, in element lengths at the front."""
+MIN_COSINE_IN_FACE = 0.99
+"""Minimum cosine between the normals of a crack and of the face in which it lies."""
 MAX_RELATIVE_POINT_TO_FACE_DISTANCE = 0.1
 """Maximum distance between a named point and the nearest face, relative to the part's size."""
 DRAWN_ELLIPSE_START_ANGLE = 1.0 + math.pi
@@ -173,8 +185,19 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
 def _import_part(path: str, unit: str) -> Tags:
     """Import a CAD file's single solid into gmsh, scaled to mm; Refusal for other contents.
 
-    ``unit`` is a key in ``MILLIMETRES_BY_UNIT``. Returns the solid's dimension and tag in a list.
+    The text is read first: gmsh would open all files that a STEP file names, and may never return
+    from a NAN. ``unit`` is a key in ``MILLIMETRES_BY_UNIT``. Returns the solid's dimension and tag
+    in a list.
     """
+    text = Path(path).read_bytes()
+    if not path.endswith(".brep"):
+        if word := EXTERNAL_REFERENCE.search(text):
+            requirement = f"a part alone; {word[0].decode()} in it names another file"
+            raise Refusal("geometry.file", f"{requirement}; export it again without")
+        text = STRING_OR_COMMENT.sub(b" ", text)
+    if word := INFINITE_NUMBER.search(text):
+        number = word[0][:20].decode(errors="replace")
+        raise Refusal("geometry.file", f"a part whose numbers are finite; this one has {number}")
     gmsh.model.add("part")
     gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
     try:
@@ -386,8 +409,10 @@ def insert_cracks(
     """
     occ, crack_face_dim_tags = gmsh.model.occ, []
     for crack in cracks:
-        if crack["half"] is None:
-            crack["half"] = [2.0 * np.ptp(part_triangles.reshape(-1, 3), axis=0).max()] * 2
+        if is_half_plane := crack["half"] is None:
+            corners = part_triangles.reshape(-1, 3)
+            distance = np.linalg.norm(corners - crack["middle"], axis=1).max()
+            crack["half"] = [max(2.0 * np.ptp(corners, axis=0).max(), distance)] * 2
         crack_piece_dim_tags = occ.intersect(
             _draw_crack_face(crack), solid_dim_tags, removeObject=True, removeTool=False
         )[0]
@@ -410,6 +435,10 @@ def insert_cracks(
                 else "the crack lies in a face of the part" if np.any(is_on_part_face)
                 else f"the crack is in {len(crack_piece_dim_tags)} pieces"
             )  # fmt: skip
+            if is_half_plane and len(crack_piece_dim_tags) > 1:
+                problem += (
+                    "; for one that starts at a hole give radii in place of front = 'through'"
+                )
             requirement_text = f"such that the crack is one surface inside the part; {problem}"
             raise Refusal(f"{crack['key']}.point", requirement_text)
         crack_face_dim_tags += crack_piece_dim_tags
@@ -460,12 +489,12 @@ def _describe_solid_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
         for box_corner in (lower_corner, upper_corner)
     )
     middle_read_as_mm = 1e-3 * np.array(crack["middle"])
-    unit_hint = (
-        "; give the point in m, not in mm"
-        if np.any(middle_read_as_mm)
-        and np.all((lower_corner <= middle_read_as_mm) & (middle_read_as_mm <= upper_corner))
-        else ""
-    )
+    distance = point_to_triangle_distances(np.array([crack["middle"]]), part_triangles).min()
+    unit_hint = ""
+    if distance > np.linalg.norm(upper_corner - lower_corner) and np.all(
+        (lower_corner <= middle_read_as_mm) & (middle_read_as_mm <= upper_corner)
+    ):
+        unit_hint = "; give the point in m, not in mm"
     return f", which is from ({lower_corner_text}) to ({upper_corner_text}) m{unit_hint}"
 
 
@@ -591,14 +620,22 @@ def _check_front_and_ligament_exist(
     """
     point_key, shortest_element_length = f"{crack['key']}.point", front["shortest"]
     centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface_tag)])
+    centre_distances = point_to_triangle_distances(centre, part_triangles)[0]
     if (
         not front["curves"]
-        or point_to_triangle_distances(centre, part_triangles).min()
-        < MIN_LIGAMENT_PER_ELEMENT_LENGTH * shortest_element_length
+        or centre_distances.min() < MIN_LIGAMENT_PER_ELEMENT_LENGTH * shortest_element_length
     ):
-        problem_text = (
-            "lies in a face of the part" if front["curves"] else "has no front inside the part"
-        )
+        problem_text = "has no front inside the part"
+        if front["curves"]:
+            a, b, c = part_triangles[centre_distances.argmin()]
+            normal = np.cross(b - a, c - a)
+            problem_text = "lies in a face of the part"
+            if abs(normal @ crack["frame"][2]) < MIN_COSINE_IN_FACE * np.linalg.norm(normal):
+                depth = centre_distances.min() / shortest_element_length
+                problem_text = (
+                    f"is too shallow for the mesh: its centre is {depth:.2g} element lengths deep; "
+                    "raise mesh.lip_elements, or give a deeper crack"
+                )
         raise Refusal(
             point_key, f"such that the crack is inside the part; the crack {problem_text}"
         )

@@ -253,8 +253,13 @@ class Scene(SceneTables):
 
     @property
     def quantities(self) -> tuple[str, ...] | None:
-        """Names in ``output.quantities``; None if the scene does not choose quantities."""
-        return None if self.output is None else self.output.quantities
+        """Names in ``output.quantities``; None if the scene does not choose quantities.
+
+        Without a crack the names that need one are left out.
+        """
+        dropped_names = list_dropped_quantities(self)
+        chosen_names = (self.output and self.output.quantities) or ()
+        return tuple(name for name in chosen_names if name not in dropped_names) or None
 
     @property
     def label_by_displacement_name(self) -> dict[str, str]:
@@ -369,11 +374,16 @@ def _find_excluding_condition(scene: Scene, reason_by_condition: Mapping[str, st
     return ""
 
 
+def _has_crack(scene: Scene) -> bool:
+    """Return True for a crack in the scene's tables, or in its mesh file (with [contact])."""
+    return bool(scene.crack_by_name) or (scene.contact is not None and scene.mesh.layout == "file")
+
+
 def reason_without_stress_intensity(scene: Scene) -> str:
     """Return why stress intensity factors cannot be computed; empty if they can."""
     if reason := _find_excluding_condition(scene, _NO_STRESS_INTENSITY_REASON_BY_CONDITION):
         return reason
-    if not scene.crack_by_name and (scene.contact is None or scene.mesh.layout != "file"):
+    if not _has_crack(scene):
         return "without a crack: stress intensities belong to crack tips"
     if scene.has_friction:
         return "with contact.friction: stress intensities neglect friction forces on crack faces"
@@ -421,6 +431,17 @@ def _reason_without_observable(scene: Scene, observable: Observable) -> str:
         _REASON_FUNCTION_BY_OBSERVABLE_PLACE[observable.place](scene)
         if observable.place in _REASON_FUNCTION_BY_OBSERVABLE_PLACE
         else ""
+    )
+
+
+def list_dropped_quantities(scene: Scene) -> tuple[str, ...]:
+    """Return the names in ``output.quantities`` that need a crack, if the scene has none."""
+    if scene.output is None or scene.structure is not None or _has_crack(scene):
+        return ()
+    return tuple(
+        quantity_name
+        for quantity_name in scene.output.quantities or ()
+        if OBSERVABLES_BY_NAME[quantity_name].needs_crack
     )
 
 

@@ -28,7 +28,7 @@ from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.rotation import relative_coriolis_shifts
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, list_dropped_quantities
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.key_figures import (
     N_KEY_FIGURE_MODES,
@@ -220,7 +220,7 @@ def _list_first_given_key_and_value(scene: Scene, keys: str) -> list[tuple[str, 
     nonzero_keys_and_values = [
         keys_and_values
         for keys_and_values in given_keys_and_values
-        if any(np.any(np.asarray(value) != 0) for _, value in keys_and_values)
+        if any(np.any(np.asarray(value, dtype=object) != 0) for _, value in keys_and_values)
     ]
     return (nonzero_keys_and_values or given_keys_and_values or [[]])[0]
 
@@ -721,6 +721,13 @@ SCENE_REMARK_RULES = (
         1.0,
         "no force acts: excitation.force_sin, force_cos and force_mean are zero; give one of them",
         lambda _, scene: scene.has_other_loads or bool(scene.excitation.first_force_key),
+    ),
+    RemarkRule(
+        "output.quantities",
+        0.0,
+        0.0,
+        "left out without a crack: {1}",
+        lambda _, scene: (len(e := list_dropped_quantities(scene)), ", ".join(e)),
     ),
 )
 STRUCTURE_REMARK_RULES = (

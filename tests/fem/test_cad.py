@@ -91,11 +91,18 @@ def holed(occ: Any) -> None:
     occ.cut([(3, 1)], [(3, occ.addBox(-1, 40, -1, 32, 10, 3))])
 
 
+def bored(occ: Any) -> None:
+    """Draw the box with a hole of 8 mm through its middle."""
+    box(occ)
+    occ.cut([(3, 1)], [(3, occ.addCylinder(15, 45, -1, 0, 0, 8, 4))])
+
+
 DRAWN: dict[str, Callable[[Any], Any]] = {
     "box.step": box,
     "box.brep": box,
     "two.step": two,
     "holed.step": holed,
+    "bored.step": bored,
     "flat.step": lambda occ: occ.addRectangle(0, 0, 0, 10, 10),
     "rod.step": lambda occ: occ.addCylinder(0, 0, 0, 0, 200, 0, 10),
 }
@@ -218,8 +225,15 @@ REFUSED: list[tuple[str, dict[str, Any], str | None]] = [
     ("crack.point", {"crack.point": [0.0, 0.2, 0.0]}, None),
     ("crack.point", {"crack.point": [15.0, 30.0, 6.0]},
      r"\(0, 0, 0\) to \(0\.03, 0\.09, 0\.006\) m; .* not in mm"),
+    ("crack.point", {"crack.point": [0.015, 0.03, 0.0095]},
+     r"\(0, 0, 0\) to \(0\.03, 0\.09, 0\.006\) m$"),
+    ("crack.point", {"crack.point": [0.015, 0.03, 0.00895], "crack.radii": [0.003, 0.003]},
+     "too shallow .* raise mesh.lip_elements"),
+    ("crack.point", THROUGH | {"geometry.file": "bored.step", "crack.length": 0.002,
+                               "crack.point": [0.019, 0.045, 0.003]}, "2 pieces; .* give radii"),
+    ("crack.length", THROUGH | {"crack.length": 5.0}, "cut the part in two"),
     ("crack.radii", {"crack.radii": [0.1, 0.1]}, None),
-    ("crack.point", {"crack.point": [0.015, 0.0, 0.006]}, None),
+    ("crack.point", {"crack.point": [0.015, 0.0, 0.006]}, "lies in a face"),
     ("crack.point", {"geometry.file": "holed.step", "crack.point": [0.015, 0.045, 0.0],
                      "crack.normal": [0.0, 0.0, 1.0], "crack.radii": [0.012, 0.06]}, None),
     ("crack.point", {"crack.point": [0.0148, 0.03, 0.003], "crack.radii": [0.003, 0.003]}, None),
@@ -309,6 +323,26 @@ def test_a_new_scene(parts: Path, tmp_path: Path, run_command: RunCommand) -> No
     [crack] = [line for line in report.splitlines() if line.startswith("the crack front")]
     assert "mm deep" in crack and "of material straight ahead" in crack
     assert "crack.point" in report
+
+
+def test_the_same_without_its_crack(parts: Path, tmp_path: Path, run_command: RunCommand) -> None:
+    """A scene of ``new --cad`` asks for K, which is left out without a crack, in one remark. The
+    first frequency is that of a beam [Hz], 6 mm thick, to 5 %: E / (1 - nu^2) would be 5 % more."""
+    scene = tmp_path / "box.toml"
+    run_command("new", scene, "--cad", parts / "box.step")
+    assert "K_max" in scene.read_text()
+    few_options = ["mesh.error=false", "mesh.size=0.012", "crack=none", "contact=none"]
+    answer = run_command("modes", scene, "--output", tmp_path / "out", sets=few_options)
+    assert answer.err.count("remark: output.quantities") == 1
+    assert "left out without a crack: K_max" in answer.err
+    [first] = [line for line in answer.out.splitlines() if line.split()[:1] == ["1"]]
+    beam = 1.875104**2 * math.sqrt(2.1e11 / 12.0 / 7850.0) * 0.006 / 0.09**2 / (2.0 * math.pi)
+    assert beam * 0.99 < float(first.split()[2]) < beam * 1.05
+    every_quantity = 'output.quantities=["K_max", "friction_loss"]'
+    answer = run_command("check", scene, sets=[*few_options, every_quantity])
+    assert "left out without a crack: K_max, friction_loss" in answer.err
+    removed = fc.Scene.load(scene).replace({"crack": None, "contact": None})
+    assert removed.quantities == ("amplitude", "ratio_2_1")
 
 
 def environment() -> dict[str, str]:

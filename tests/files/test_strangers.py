@@ -3,29 +3,37 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
 import random
+import re
 import shutil
 import signal
+import site
+import subprocess
+import sys
 import tempfile
 import time
 import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+import gmsh
 import h5py
 import numpy as np
 import pytest
-from helpers import DEMOS, ROOT, catch_error, chain, changed
+from helpers import DEMOS, ROOT, catch_error, chain, changed, gmsh_model
 from mpi4py import MPI
 from ranks import LIMIT
-from surroundings import RunCommand
+from surroundings import RunCommand, no_rank
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
 from fenics_crack.basics.caches import check_private_folder, replace_unusable_caches
 from fenics_crack.basics.untrusted_files import file_sha256, run_reader_for_arrays
+from fenics_crack.fem.solid import read_part_triangles_and_owners
 from fenics_crack.files.store import read_result_file, read_result_file_without_numbers
 from fenics_crack.scene.result_tables import Sweep
 
@@ -147,6 +155,144 @@ def test_what_a_result_names_is_a_regular_file(
     catch_error(lambda: fc.load_run(home / "result.h5"), "mesh.file", named_path)
     catch_error(lambda: fc.prepare(scene), "mesh.file", named_path)
     assert time.perf_counter() - began < LIMIT
+
+
+# --- parts ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A box of 30 x 90 x 6 mm as a STEP file; beside it as a BREP file."""
+    path = tmp_path_factory.mktemp("box") / "box.step"
+    with gmsh_model() as model:
+        model.add("box")
+        model.occ.addBox(0, 0, 0, 30, 90, 6)
+        model.occ.synchronize()
+        for ending in (".step", ".brep"):
+            gmsh.write(str(path.with_suffix(ending)))
+    return path
+
+
+END, PRODUCT = "ENDSEC;\nEND-ISO", "PRODUCT_DEFINITION('design','',#6,#9)"
+
+
+def naming(text: str, name: object, words: str = "DOCUMENT_FILE") -> str:
+    """The text of a STEP file that names another file, as AP 214 or, by a word with PR, AP 203."""
+    document = f"#901 = DOCUMENT('','{name}',$,#900);"
+    if not words.startswith("PR"):
+        file_word, reference = (words.split() + ["APPLIED_DOCUMENT_REFERENCE"])[:2]
+        document = (
+            f"#901 = {file_word}('{name}','',$,#900,'',$);\n#902 = {reference}(#901,'',(#5));"
+        )
+    else:
+        text = text.replace(PRODUCT, f"{words[3:]}('design','',#6,#9,(#901))")
+    return text.replace(END, f"#900 = DOCUMENT_TYPE('');\n{document}\n{END}")
+
+
+REFERENCES = (
+    "DOCUMENT_FILE", "DCMFL APDCRF", "PR PRODUCT_DEFINITION_WITH_ASSOCIATED_DOCUMENTS", "PR PDWAD"
+)  # fmt: skip
+"""Long and short words of STEP, with which OpenCASCADE opens the file that is named."""
+NO_NUMBERS = ("NAN", "-nan", "/* a */NANX", "INF", "1.E+0999")
+
+
+@pytest.mark.parametrize("words", REFERENCES)
+def test_a_part_names_no_file(
+    home: Path, box: Path, run_command: RunCommand, words: str, tmp_path_factory: Any
+) -> None:
+    """Neither by an absolute nor by a relative path: a STEP file that does so is refused."""
+    other_path = tmp_path_factory.mktemp("other") / "other.step"
+    other_path.write_text(box.read_text())
+    for name in (other_path, os.path.relpath(other_path, home)):
+        (home / "part.step").write_text(naming(box.read_text(), name, words))
+        line = refused(run_command, "new", "scene.toml", "--cad", "part.step")
+        assert "geometry.file = 'part.step'" in line and "another file" in line
+
+
+@pytest.mark.parametrize("ending", [".step", ".brep"])
+def test_a_part_has_finite_numbers(
+    home: Path, box: Path, run_command: RunCommand, ending: str
+) -> None:
+    """NAN, of which gmsh did not return, and numbers too large; in names and remarks they may
+    stand."""
+    text = box.with_suffix(ending).read_text()
+    before, number_text = {".step": ("(30.,", "30."), ".brep": ("\n1 30 ", "30")}[ending]
+    assert before in text
+    for number in NO_NUMBERS:
+        (home / f"part{ending}").write_text(
+            text.replace(before, before.replace(number_text, number))
+        )
+        line = refused(run_command, "new", "scene.toml", "--cad", f"part{ending}")
+        assert f"geometry.file = 'part{ending}'" in line and "finite" in line
+    if ending == ".step":
+        words = "PRODUCT('PLATE (INF), NAN','it''s (NAN, 1.E999)'"
+        text = re.sub(r"PRODUCT\('[^']*',\s*'[^']*'", words, text).replace(END, f"/* (NAN) */{END}")
+        (home / "part.step").write_text(text)
+        assert len(read_part_triangles_and_owners("part.step", None)["owners"]) > 6
+
+
+TRACE = "trace=open,openat,openat2,creat"
+OPENED = re.compile(r" = \d+<(/[^>]*)>")
+"""What a system call has opened."""
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(shutil.which("strace") is None, reason="no strace")
+def test_files_that_a_part_opens(home: Path, box: Path, tmp_path_factory: Any) -> None:
+    """By all commands they lie in the scene's folder, that of the copy, the output, the caches, or
+    are Python's, this program's and Debian's own. A file, a pipe and a device that parts name, or
+    that are the parts, are not opened."""
+    other_folder = tmp_path_factory.mktemp("other")
+    temporary = tmp_path_factory.mktemp("temporary")
+    (other_folder / "other.step").write_text(box.read_text())
+    os.mkfifo(other_folder / "pipe.step")
+    (other_folder / "zero.step").symlink_to("/dev/zero")
+    shutil.copy(box, home / "part.step")
+    for name, words in itertools.product(["other.step", "pipe.step", "/dev/zero"], REFERENCES):
+        text = naming(box.read_text(), other_folder / name, words)
+        (home / f"evil_{name.strip('/').replace('/', '_')}_{words.split()[-1]}.step").write_text(
+            text
+        )
+    evil = [*home.glob("evil_*"), other_folder / "pipe.step", other_folder / "zero.step"]
+    few_options = ["--quiet", "--set", "mesh.size=0.02", "--set", "mesh.lip_elements=2"]
+    few_options += ["--set", "mesh.error=false"]
+    commands = [
+        (0, ["new", "part.toml", "--cad", "part.step", "--quiet"]),
+        (0, ["check", "part.toml", *few_options]),
+        (0, ["modes", "part.toml", *few_options]),
+        *((2, ["new", "evil.toml", "--cad", str(path)]) for path in evil),
+        *((2, ["check", "part.toml", "--set", f"geometry.file={path}"]) for path in evil[-2:]),
+    ]  # fmt: skip
+    log, began = other_folder / "log", time.perf_counter()
+    tracer = ["strace", "-f", "--seccomp-bpf", "-y", "-qq", "-e", TRACE, "-A", "-o", str(log)]
+    environment = no_rank() | {"TMPDIR": str(temporary)}
+    for code, words in commands:
+        program = [sys.executable, "-P", "-m", "fenics_crack", *words]
+        done = subprocess.run(
+            [*tracer, *program], check=False, env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == code, (words, done.stderr)
+        assert code == 0 or len(done.stderr.splitlines()) == 1
+    assert time.perf_counter() - began < LIMIT
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    own = [ROOT, home, temporary, cache, sys.prefix, sys.base_prefix, *site.getsitepackages()]
+    debian = [
+        "/usr",
+        "/lib",
+        "/lib64",
+        "/etc",
+        "/proc",
+        "/sys",
+        "/dev/null",
+        "/dev/shm",
+        "/dev/urandom",
+    ]
+    roots = tuple(f"{os.path.realpath(root)}/" for root in [*own, *debian])
+    opened_paths = {path for line in log.read_text().splitlines() for path in OPENED.findall(line)}
+    assert any(path.endswith("/part.step") and str(temporary) in path for path in opened_paths)
+    opened_paths.discard("/")  # by hwloc
+    assert not {path for path in opened_paths if not f"{path}/".startswith(roots)}
+    assert not [*temporary.iterdir()]
 
 
 # --- results --------------------------------------------------------------------------------------
