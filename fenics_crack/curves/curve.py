@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from fenics_crack.balance.assessment import Assessment
+from fenics_crack.balance.assessment import MAX_HARMONIC_DOUBLINGS_FOR_ORBIT, Assessment
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import (
@@ -432,11 +432,17 @@ class ResponseCurve(ObservedMotion, Tabular):
         """Yield an assessment by exact motions for each of several harmonic-balance points.
 
         ``places`` are the indices of the points on the curve. Over the frequency, the displacements
-        of many points are computed together.
+        of many points are computed together. Of crack faces with mass, orbits are sought from the
+        points alone: with more harmonics a search takes seconds.
         """
+        n_doublings = 0
+        if self.structure.has_massless_crack_faces:
+            n_doublings = MAX_HARMONIC_DOUBLINGS_FOR_ORBIT
         if self._common_flow is None or not isinstance(self.system, BalanceEquations):
             for point_problem, contact_point in map(self._problem_and_contact_point, places):
-                yield Assessment(point_problem.wave(contact_point))
+                yield Assessment(
+                    point_problem.wave(contact_point), n_harmonic_doublings=n_doublings
+                )
             return
         equations = self.system
         contact_system = equations.system(equations.start)
@@ -467,7 +473,9 @@ class ResponseCurve(ObservedMotion, Tabular):
                     ),
                     omega=float(omega[index]),
                 )
-                yield Assessment(harmonic_motion, flow=self._common_flow)
+                yield Assessment(
+                    harmonic_motion, flow=self._common_flow, n_harmonic_doublings=n_doublings
+                )
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
