@@ -173,6 +173,9 @@ def describe_faces_cracks_and_fronts(scene: Scene, structure: Structure) -> dict
             np.reshape(crack.point or (), (-1, 3)), surface_triangles
         )
     }
+    is_through = all(
+        crack.depth is None and not crack.radii for crack in scene.crack_by_name.values()
+    )
     for front in find_fronts(structure):
         front_node_arc_lengths = np.append(
             0.0, np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1).cumsum()
@@ -210,7 +213,7 @@ def describe_faces_cracks_and_fronts(scene: Scene, structure: Structure) -> dict
         largest_crack_depth = mouth_distances.min(axis=1, initial=np.inf).max(initial=0.0)
         crack_depth_text = (
             f"{format_quantity(largest_crack_depth, 'm')} deep, "
-            if 0.0 < largest_crack_depth < np.inf
+            if 0.0 < largest_crack_depth < np.inf and not is_through
             else ""
         )
         text_by_name[front.name] = (

@@ -186,8 +186,9 @@ def _make_conclusion_of_modes(run: StudyWithResult) -> Conclusion:
     The sentence states the first natural frequency with open crack, and its error.
     """
     first_omega = float(run.result.omega[0])
+    state_text = " with the crack open" if run.structure.n_pairs else ""
     answer_text = (
-        f"the first natural frequency with the crack open is {first_omega / RAD_PER_TURN:.5g} Hz "
+        f"the first natural frequency{state_text} is {first_omega / RAD_PER_TURN:.5g} Hz "
         f"({first_omega:.5g} rad/s)"
         f"{_error_clause(run, natural_frequency_name(run.scene, 'open', 1))}"
     )

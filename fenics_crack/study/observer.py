@@ -283,7 +283,11 @@ class CrackTipHistory(NamedTuple):
             self,
             excluded_flags | (REQUIRES_SOLID if self.K_III is None else IN_FILES_ONLY),
         )
-        return {k: value for k, value in value_by_name.items() if not k.endswith("_leading")}
+        return {
+            name: value
+            for name, value in value_by_name.items()
+            if not name.endswith(("_leading", "_ratio"))
+        }
 
 
 def compute_crack_tip_histories(
@@ -614,8 +618,9 @@ def _make_tip_intensity_rows_and_reader(study: Study) -> ExtraRows:
             if name in value_by_name:
                 value_by_name[name.replace("max", "leading")] = value_by_name[name]
                 value_by_name[name] = float(values[name].max())
-        grows = values["K_max"] >= 0.1 * values["K_max"].max()
-        value_by_name["K_II_ratio"] = float(values["K_II_ratio"][grows].max())
+        K_max = np.maximum(values["K_max"], np.finfo(float).tiny)
+        grows = K_max >= 0.1 * K_max.max()
+        value_by_name["K_II_ratio"] = float((values["K_II_max"] / K_max)[grows].max())
         if study.scene.dimension == 3:  # under a mean load it may be largest at another station
             value_by_name["K_max"] = float(values["K_max"].max())
         return value_by_name

@@ -692,11 +692,12 @@ SCENE_REMARK_RULES = (
     ),
     RemarkRule(
         "damping.ratio damping.ratios",
-        0.0,
+        1e-6,
         MAX_PLAUSIBLE_DAMPING,
         USUAL_METAL_DAMPING_REMARK,
         factor_by_mistyped_unit={"%": 1e-2},
     ),
+    RemarkRule("contact.friction", 0.0, 2.0, "dry metals have coefficients of 0.1 to 1"),
     RemarkRule(
         "growth.rate",
         1e-20,
@@ -761,7 +762,7 @@ STRUCTURE_REMARK_RULES = (
         0.0,
         0.01,
         "the hub radius is measured to a clamp at y = 0; the mesh has its clamp at "
-        "y = {1:.4g} m: move the mesh",
+        "y = {1:.4g} m: move the mesh, or give rotation.axis and rotation.center",
         _clamp_height_ratio_and_height,
     ),
     RemarkRule(
