@@ -290,12 +290,32 @@ def make_folder_until_exit() -> Path:
 
 
 def remove_file(path: Path, key: str) -> None:
-    """Remove a file if it exists.
+    """Remove a file if it exists, and the hidden files that killed programs have left beside it.
 
     InputError if the file cannot be removed; ``key`` names the option with the path.
     """
+    remove_hidden_files(path)
     with report_write_errors(path, key, "a file that can be removed"):
         path.unlink(missing_ok=True)
+
+
+def remove_hidden_files(final_path: Path) -> None:
+    """Remove the unfinished files that killed programs have left beside a file.
+
+    A program that writes the file at this moment fails to rename its own. So call this function
+    only for a file that a program may do without.
+    """
+    for hidden_path in final_path.parent.glob(f".{8 * '[0-9a-f]'}.{final_path.name}"):
+        with contextlib.suppress(OSError):
+            hidden_path.unlink()
+
+
+def check_disk_space(path: Path, n_bytes: float) -> None:
+    """Raise WriteError unless so many bytes are free on a file's disk; make a missing folder."""
+    with report_write_errors(path, "path"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if shutil.disk_usage(path.parent).free < n_bytes:
+            raise OSError(errno.ENOSPC, f"less than {n_bytes / 1e6:.3g} MB of the disk are free")
 
 
 def write_bytes_at(file_descriptor: int, content: bytes | memoryview, offset: int) -> None:

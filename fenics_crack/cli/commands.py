@@ -152,8 +152,6 @@ def write_and_print_report(
         0 without doubts; 3 if not converged; 4 if the error is unknown or above the tolerance.
     """
     replacement_note = ""
-    for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:
-        structure_file.write_noted_structure(console.comm)
     if result is not None:
         replacement_note = keep_previous_files_and_return_note(
             Path(f"{stem_path}.json"), report.table.format_as("json"), console.comm
@@ -173,6 +171,8 @@ def write_and_print_report(
             console.comm,
             lambda: draw_result(result, PictureFiles(stem_path.parent, picture_format)),
         )
+    for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:  # results need the disk first
+        structure_file.write_noted_structure(console.comm)
     console.print_table(
         make_printed_table(report) if console.table_format == "text" else report.table
     )

@@ -35,7 +35,7 @@ from fenics_crack.basics.atomic_files import (
 )
 from fenics_crack.basics.errors import MAX_VALUES_OF_AXIS, InputError, check_count
 from fenics_crack.basics.progress import USER_MESSAGE_LOGGER, StageLineHandler, begin_stage
-from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, Table
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, Table, have_equal_numbers
 from fenics_crack.basics.untrusted_files import read_regular_file, read_utf8_text
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import read_packaged_text
@@ -555,8 +555,8 @@ def keep_previous_files_and_return_note(
 ) -> str:
     """Keep the previous result's files in the folder ``before`` (collective).
 
-    The folder keeps a single previous result. If previous and new table have the same text, nothing
-    is kept.
+    The folder keeps a single previous result. If previous and new table have the same text, within
+    the rounding of their numbers, nothing is kept.
 
     Parameters
     ----------
@@ -586,11 +586,12 @@ def keep_previous_files_and_return_note(
 
     def keep_files_on_root() -> str:
         try:
-            if read_regular_file(table_path, follows_links=False) == table_text.encode():
+            previous_text = read_regular_file(table_path, follows_links=False).decode()
+            if have_equal_numbers(previous_text, table_text):
                 return ""
         except FileNotFoundError:
             return ""
-        except OSError:  # no table of ours
+        except (OSError, ValueError):  # no table of ours
             pass
         try:
             if not back_up_files(file_names, table_path.parent, previous_folder):

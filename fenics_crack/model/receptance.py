@@ -86,9 +86,8 @@ class Receptance:
     def _sign_and_modes(self, n_kept_modes: int) -> tuple[float, slice]:
         """Return +1 and the modes n_kept to n_base, or -1 and the modes n_base to n_kept."""
         n_base = self.n_modes if self.n_base is None else self.n_base
-        if n_kept_modes < n_base:
-            return 1.0, slice(n_kept_modes, n_base)
-        return -1.0, slice(n_base, n_kept_modes)
+        lower_count, upper_count = sorted((n_kept_modes, n_base))
+        return (1.0 if n_kept_modes < n_base else -1.0), slice(lower_count, upper_count)
 
     def residual_response(
         self, n_kept_modes: int, residual_part: np.ndarray, modal_displacements: np.ndarray

@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
+from fenics_crack.basics.atomic_files import check_disk_space
 from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.ranks import on_root
 from fenics_crack.fem.setting import list_mean_cos_and_sin_force_vectors
 from fenics_crack.files.codec import DATASET_ERROR_CLASSES, pack_dataclass, unpack_dataclass
 from fenics_crack.files.store import program_fingerprint_text, read_result_file, write_result_file
@@ -37,6 +40,8 @@ from fenics_crack.study.sharing import (
 STRUCTURE_FILE_KIND = "structure of a command"
 MAX_STRUCTURE_FILE_BYTES = 500 * 10**6
 """Maximum size of all arrays in a structure file [byte]; a larger structure is not kept."""
+MIN_FREE_FILE_SIZES = 10
+"""A structure is kept if the disk has room for so many of its files: results come first."""
 
 
 def digest_of_dependencies(dependencies: tuple[Any, Any, Any]) -> str:
@@ -120,7 +125,8 @@ class StructureFile:
         """Write the noted structure with its coarser structure (collective).
 
         Nothing is written if the arrays that were read from the file are at least as large. If
-        writing fails, or the arrays exceed 500 MB, a line is printed.
+        writing fails, the arrays exceed 500 MB or a tenth of the disk's free space, a line is
+        printed.
         """
         for shared_structure, scene in self._noted_structures_and_scenes:
             if shared_structure.comm.size < comm.size and comm.rank:
@@ -152,6 +158,8 @@ class StructureFile:
                         str(self._path),
                         f"a file of at most {MAX_STRUCTURE_FILE_BYTES / 1e6:g} MB",
                     )
+                n_free_bytes = MIN_FREE_FILE_SIZES * n_dataset_bytes
+                on_root(shared_structure.comm, partial(check_disk_space, self._path, n_free_bytes))
                 write_result_file(
                     dataset_by_name,
                     self._path,
