@@ -36,6 +36,11 @@ _DTYPE_KINDS_BY_FIELD = {
     **dict.fromkeys(("undecided", "irregular", "equivalent", "hidden"), "b"),
 }
 """NumPy kinds (``dtype.kind``) by field name; fields not listed allow "bifu", real numbers."""
+_FIELDS_WITH_NAN = frozenset(
+    "multipliers bifurcation_multipliers coefficients covariance amplitudes amplitude_errors "
+    "omega_errors damping_errors".split()
+)
+"""Fields whose arrays have nan for unknown numbers, as arrivals have for a missing passage."""
 
 
 def pack_dataclass(instance: Any, *omitted_names: str) -> Datasets:
@@ -251,16 +256,19 @@ class _DatasetReader(NamedTuple):
 
 
 def check_arrays(datasets: Mapping[str, Any]) -> None:
-    """Raise ValueError if an array from a file has a wrong NumPy type or too large numbers.
+    """Raise ValueError if an array from a file has a wrong NumPy type, or numbers not finite.
 
-    Absolute values above ``MAX_ALLOWED_MAGNITUDE`` are too large; nan is allowed. Indices must be
-    whole numbers, for example, and flags must be True or False. ``datasets`` has arrays and other
-    values by field name; only arrays are checked.
+    Absolute values above ``MAX_ALLOWED_MAGNITUDE`` are refused, and nan in all arrays but arrivals
+    and :data:`_FIELDS_WITH_NAN`. Indices must be whole numbers, for example, and flags must be True
+    or False. ``datasets`` has arrays and other values by field name; only arrays are checked.
     """
     for name, array in datasets.items():
         if isinstance(array, np.ndarray):
-            allowed_kinds = _DTYPE_KINDS_BY_FIELD.get(name.rpartition(".")[2], "bifu")
-            if array.dtype.kind not in allowed_kinds or np.any(
-                np.abs(array) > MAX_ALLOWED_MAGNITUDE
+            field_name = name.rpartition(".")[2]
+            can_have_nan = field_name in _FIELDS_WITH_NAN or name.startswith("arrivals.")
+            if array.dtype.kind not in _DTYPE_KINDS_BY_FIELD.get(field_name, "bifu") or not np.all(
+                (np.abs(array) <= MAX_ALLOWED_MAGNITUDE) | (can_have_nan & np.isnan(array))
             ):
-                raise ValueError(f"its entry '{name}' has wrong or too large numbers")
+                raise ValueError(
+                    f"its entry '{name}' has numbers that are of a wrong type, too large or not finite"
+                )

@@ -158,8 +158,10 @@ class StructureFile:
                         str(self._path),
                         f"a file of at most {MAX_STRUCTURE_FILE_BYTES / 1e6:g} MB",
                     )
-                n_free_bytes = MIN_FREE_FILE_SIZES * n_dataset_bytes
-                on_root(shared_structure.comm, partial(check_disk_space, self._path, n_free_bytes))
+                on_root(
+                    shared_structure.comm,
+                    partial(check_disk_space, self._path, MIN_FREE_FILE_SIZES * n_dataset_bytes),
+                )
                 write_result_file(
                     dataset_by_name,
                     self._path,
