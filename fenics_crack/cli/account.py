@@ -623,17 +623,15 @@ def select_printed_quantities(
 def _round_to_zero(table: Table) -> Table:
     """Replace rounding errors in a table by 0.
 
-    A value up to 1e-15, without unit or in one of :data:`SI_UNITS_OF_VALUES_ROUNDED_TO_ZERO`, is a
-    rounding error. The units are in the column "unit". In a table without this column, the units
-    are in the headings: "gap [m]".
+    A value up to 1e-15, in a unit of :data:`SI_UNITS_OF_VALUES_ROUNDED_TO_ZERO`, is a rounding
+    error. The units are in the column "unit". In a table without this column, the units are in the
+    headings: "gap [m]".
     """
     column_units = [heading.partition("[")[2].rstrip("]") for heading in table.columns]
     unit_column_index = table.columns.index("unit") if "unit" in table.columns else None
 
     def round_value(cell_value: Any, unit: str) -> Any:
-        can_round = isinstance(cell_value, float) and (
-            unit == "-" or unit in SI_UNITS_OF_VALUES_ROUNDED_TO_ZERO
-        )
+        can_round = isinstance(cell_value, float) and unit in SI_UNITS_OF_VALUES_ROUNDED_TO_ZERO
         return 0.0 if can_round and abs(cell_value) <= 1e-15 else cell_value
 
     rounded_rows = []

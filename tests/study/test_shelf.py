@@ -145,6 +145,34 @@ def test_second_answers_are_those_of_a_fresh_structure(plate: Path) -> None:
     same_answers("solve", plate, "--set", "excitation.force_sin=[13.0, 0.0]")
 
 
+@pytest.mark.parametrize(
+    "keys",
+    [
+        ("crack.length=0.02", "harmonic_balance.tolerance=0.01"),
+        ("harmonic_balance.tolerance=0.003",),
+    ],
+)
+def test_second_answers_are_equal_to_the_bit(keys: tuple[str, ...], plate: Path) -> None:
+    """A, B and B again, which leave A in before/; nor does --fresh count as another result.
+
+    B is of another mesh than A, or of the same and needs more modes.
+    """
+    text = PLATE.replace("harmonics = 7", "tolerance = 0.05").replace("modes = 10", "")
+    text = text.replace("lip_elements = 4", "lip_elements = 3\norder = 2\nerror = false")
+    plate.write_text(text.replace('"unilateral"', '"unilateral"\nfriction_error = false'))
+    results = plate.parent / "output" / "plate"
+    assert run("solve", plate) in (0, 4)
+    earlier_text, texts = (results / "solution.json").read_text(), list[str]()
+    words = [word for one in keys for word in ("--set", one)]
+    for option in ((), (), ("--fresh",)):
+        assert run("solve", plate, *words, *option) in (0, 4)
+        texts.append((results / "solution.json").read_text())
+        assert (results / "before" / "solution.json").read_text() == earlier_text
+    assert texts[0] == texts[1]
+    assert run("solve", plate, *words, "--set", "excitation.frequency=780.00001") in (0, 4)
+    assert (results / "before" / "solution.json").read_text() == texts[2]
+
+
 def test_second_solve_imports_no_mesher(plate: Path, path: Path) -> None:
     """Neither DOLFINx nor gmsh."""
     words = ["solve", str(plate), "--set", "excitation.frequency=790"]
@@ -230,6 +258,7 @@ def test_each_key_has_the_answer_of_a_fresh_structure(key: str, plate: Path) -> 
 FORGED: dict[str, Callable[[Any], None]] = FORGERIES | {
     "another stiffness": lambda file: put_number(file, "structure.stiffness.indices", 0, 10**6),
     "fewer entries": lambda file: shortened(file, "structure.mass.data", slice(-1)),
+    "a load that is no number": lambda file: put_number(file, "structure.excitation", 0, np.nan),
     "a load of another size": lambda file: shortened(file, "structure.excitation", slice(1)),
     "a forged coarser mesh": lambda file: put_number(
         file, "coarser_structure.mass.data", 0, np.nan
@@ -287,6 +316,37 @@ def test_what_cannot_be_kept_is_said(
     assert main(["check", str(plate)]) == 0
     [line] = lines_of(capfd.readouterr().err)
     assert "not kept" in line and not (folder / "prepared.h5").exists()
+
+
+def test_results_come_before_the_structure(
+    plate: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a disk with room for five of its files it is not kept, in one line."""
+    folder = plate.parent / "output" / "plate"
+    assert run("solve", plate) in (0, 4)
+    n_bytes = (folder / "prepared.h5").stat().st_size
+    for path in folder.iterdir():
+        path.unlink()
+    usage = shutil.disk_usage(folder)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=5 * n_bytes))
+    LAST_STRUCTURE_OR_EMPTY_LIST.clear()
+    capfd.readouterr()
+    assert main(["solve", str(plate)]) in (0, 4)
+    [line] = lines_of(capfd.readouterr().err)
+    assert "not kept" in line and "are free" in line
+    assert sorted(path.name for path in folder.iterdir()) == [
+        f"solution.{ending}" for ending in ("csv", "h5", "json")
+    ]
+
+
+@pytest.mark.parametrize("command", ["check", "clean"])
+def test_hidden_files_of_killed_commands_are_removed(command: str, plate: Path, path: Path) -> None:
+    """By the next one, and by clean; others are left."""
+    hidden, other = (path.with_name(f".0123abcd.{name}") for name in (path.name, "solution.h5"))
+    hidden.touch()
+    other.touch()
+    assert run(command, plate) == 0
+    assert not hidden.exists() and other.exists()
 
 
 def test_clean_removes_the_file(plate: Path, path: Path, run_command: RunCommand) -> None:
