@@ -307,7 +307,7 @@ def _extend_receptance(
         for n_modes_of_step in mode_counts:  # of a file in the steps of its command
             modes = solve_modes_with_factor(factored_stiffness, structure, n_modes_of_step)
         squares, sources = modes.omega**2, pair_and_load_force_matrix(structure)
-        modal = structure.sum_over_ranks(sources.T @ modes.shapes)
+        modal_forces = structure.sum_over_ranks(sources.T @ modes.shapes)
         has_all_modes = n_modes == structure.n_dofs
         # Without an elastic mode there may be further rigid-body motions.
         if known_receptance is None or known_receptance.squares[-1] == 0.0 or has_all_modes:
@@ -315,14 +315,15 @@ def _extend_receptance(
             # With a hinge that hardly resists, only rounding of the modal part would remain.
             is_well_supported = np.all(squares > np.sqrt(MACHINE_EPSILON) * squares[-1])
             n_base = 0 if is_well_supported and not has_all_modes else n_modes
-            compliance, inertia = np.zeros((len(modal), len(modal))), np.zeros(len(modal))
+            sources_shape = (len(modal_forces),)
+            compliance, inertia = np.zeros(2 * sources_shape), np.zeros(sources_shape)
             if not has_all_modes:
                 compliance, inertia = ResidualFlexibility(
                     structure, modes.shapes[:, :n_base], squares[:n_base], sources
                 ).compliance_and_inertia(factored_stiffness)
             receptance_from_scratch = Receptance(
-                squares, modal, compliance, {}, structure.force, inertia[: structure.n_pairs],
-                n_base, mode_counts,
+                squares, modal_forces, compliance, {}, structure.force,
+                inertia[: structure.n_pairs], n_base, mode_counts,
             )  # fmt: skip
             _store_dof_rows(
                 receptance_from_scratch,
@@ -339,7 +340,11 @@ def _extend_receptance(
         for dof, shape_row in zip(known_dofs, shape_rows, strict=True)
     }
     return replace(
-        known_receptance, squares=squares, modal=modal, rows=rows_by_dof, mode_counts=mode_counts
+        known_receptance,
+        squares=squares,
+        modal=modal_forces,
+        rows=rows_by_dof,
+        mode_counts=mode_counts,
     )
 
 

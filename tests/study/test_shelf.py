@@ -18,7 +18,7 @@ import pytest
 from helpers import SOLID_TEXT, TITANIUM, changed
 from mpi4py import MPI
 from surroundings import DEMOS, RunCommand, main, no_rank
-from test_artefact import FORGERIES, PLATE, put_number, shortened
+from test_artefact import FORGERIES, PLATE, put_number, replaced, shortened
 
 import fenics_crack as fc
 from fenics_crack.files.store import read_result_file
@@ -257,6 +257,11 @@ def test_each_key_has_the_answer_of_a_fresh_structure(key: str, plate: Path) -> 
 
 FORGED: dict[str, Callable[[Any], None]] = FORGERIES | {
     "another stiffness": lambda file: put_number(file, "structure.stiffness.indices", 0, 10**6),
+    "steps beyond its modes": lambda file: replaced(
+        file,
+        "structure",
+        file["structure"].asstr()[()].replace('"mode_counts": [', '"mode_counts": [999999, '),
+    ),
     "fewer entries": lambda file: shortened(file, "structure.mass.data", slice(-1)),
     "a load that is no number": lambda file: put_number(file, "structure.excitation", 0, np.nan),
     "a load of another size": lambda file: shortened(file, "structure.excitation", slice(1)),
