@@ -75,6 +75,10 @@ packages='
     openmpi-bin
     libegl1 libgl1-mesa-dri
 '
+# strace: nightly tests look at system calls, and are skipped without it.
+if [ -n "$extras" ] && { [ "$(id -u)" -eq 0 ] || command -v sudo >/dev/null; }; then
+    packages="$packages strace"
+fi
 
 missing=
 [ -n "$by_wheels" ] || for package in $packages; do

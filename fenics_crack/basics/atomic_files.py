@@ -16,7 +16,6 @@ import errno
 import os
 import shutil
 import tempfile
-import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -24,8 +23,6 @@ from fenics_crack.basics.errors import DISK_FULL_ERROR_NUMBERS, InputError, Writ
 
 DEVICE_FOLDERS = "/dev", "/dev/fd", "/proc/self/fd"
 """Folders of devices and open files, which are written directly."""
-MIN_AGE_OF_UNFINISHED_FILE = 60.0
-"""Age [s] from which a hidden file is no longer being written."""
 BACKUP_FOLDER_NAME = "before"
 """Name of the folder with replaced files, below the folder of the new files."""
 
@@ -293,32 +290,32 @@ def make_folder_until_exit() -> Path:
 
 
 def remove_file(path: Path, key: str) -> None:
-    """Remove a file if it exists, and hidden files of killed processes in the same folder.
+    """Remove a file if it exists, and the hidden files that killed programs have left beside it.
 
-    InputError if a file cannot be removed; ``key`` names the option with the path.
+    InputError if the file cannot be removed; ``key`` names the option with the path.
     """
+    remove_hidden_files(path)
     with report_write_errors(path, key, "a file that can be removed"):
         path.unlink(missing_ok=True)
-        remove_unfinished_files(path)
 
 
-def tidy_and_count_free_bytes(path: Path) -> int:
-    """Make the folder for a file, remove unfinished files there, and return the free space [byte].
+def remove_hidden_files(final_path: Path) -> None:
+    """Remove the unfinished files that killed programs have left beside a file.
 
-    InputError if the folder cannot be made.
+    A program that writes the file at this moment fails to rename its own. So call this function
+    only for a file that a program may do without.
     """
+    for hidden_path in final_path.parent.glob(f".{8 * '[0-9a-f]'}.{final_path.name}"):
+        with contextlib.suppress(OSError):
+            hidden_path.unlink()
+
+
+def check_disk_space(path: Path, n_bytes: float) -> None:
+    """Raise WriteError unless so many bytes are free on a file's disk; make a missing folder."""
     with report_write_errors(path, "path"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        remove_unfinished_files(path, MIN_AGE_OF_UNFINISHED_FILE)
-        return shutil.disk_usage(path.parent).free
-
-
-def remove_unfinished_files(path: Path, min_age: float = 0.0) -> None:
-    """Remove hidden files for a final path that have not changed for ``min_age`` [s]."""
-    for hidden_path in path.parent.glob(f".????????.{path.name}"):
-        with contextlib.suppress(FileNotFoundError):
-            if time.time() - hidden_path.lstat().st_mtime >= min_age:
-                hidden_path.unlink()
+        if shutil.disk_usage(path.parent).free < n_bytes:
+            raise OSError(errno.ENOSPC, f"less than {n_bytes / 1e6:.3g} MB of the disk are free")
 
 
 def write_bytes_at(file_descriptor: int, content: bytes | memoryview, offset: int) -> None:

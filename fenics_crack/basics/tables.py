@@ -11,6 +11,7 @@ import html
 import io
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -32,6 +33,8 @@ RAD_PER_TURN = 2.0 * math.pi
 """Factor from Hz to rad/s."""
 RAD_PER_S_PER_RPM = RAD_PER_TURN / 60.0
 """Factor from revolutions per minute to rad/s."""
+NUMBER_PATTERN = re.compile(r"[+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
+"""Pattern of a number in the text of a table."""
 
 _NAMES_OF_DICT_ENTRIES_BY_UNIT = {
     "rad/s": "omega omega_partly speed",
@@ -52,6 +55,19 @@ UNIT_BY_DICT_ENTRY_NAME = {
     },
 }
 """Units for the entries of ``to_dict`` by name; all further entries have none."""
+
+
+def have_equal_numbers(text: str, other_text: str) -> bool:
+    """Return True for texts of tables that differ by rounding alone.
+
+    Words must be equal, and numbers to a relative 1e-9 or to 1e-13 in SI units.
+    """
+    numbers_of_texts = (
+        np.array(NUMBER_PATTERN.findall(one_text), dtype=float) for one_text in (text, other_text)
+    )
+    return NUMBER_PATTERN.split(text) == NUMBER_PATTERN.split(other_text) and np.allclose(
+        *numbers_of_texts, rtol=1e-9, atol=1e-13
+    )
 
 
 @keep_old_attribute_names(formatted="format_as")

@@ -353,6 +353,7 @@ def _call_command(
         command_function = partial(run_and_report_function, command_function)
     if inputs is None or ("output" not in arguments and arguments.command != "check"):
         return command_function(arguments, inputs, console)
+    from fenics_crack.basics.atomic_files import remove_hidden_files
     from fenics_crack.basics.ranks import on_root
     from fenics_crack.cli.given import KEPT_STRUCTURE_FILE_NAME, make_writable_folder
     from fenics_crack.study.plausibility import remarks_on_scene
@@ -367,6 +368,7 @@ def _call_command(
         from fenics_crack.study.shelf import StructureFile
 
         kept_structure_path = inputs.results_folder / KEPT_STRUCTURE_FILE_NAME
+        on_root(console.comm, partial(remove_hidden_files, kept_structure_path))
         can_read_structure = on_root(
             console.comm,
             lambda: kept_structure_path.is_file() and not kept_structure_path.is_symlink(),

@@ -166,13 +166,13 @@ def write_and_print_report(
             file_stack.close()
 
         on_root(console.comm, write_tables)
-    for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:
-        structure_file.write_noted_structure(console.comm)
     if picture_format:
         on_root(
             console.comm,
             lambda: draw_result(result, PictureFiles(stem_path.parent, picture_format)),
         )
+    for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:  # results need the disk first
+        structure_file.write_noted_structure(console.comm)
     console.print_table(
         make_printed_table(report) if console.table_format == "text" else report.table
     )

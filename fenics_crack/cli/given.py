@@ -35,7 +35,7 @@ from fenics_crack.basics.atomic_files import (
 )
 from fenics_crack.basics.errors import MAX_VALUES_OF_AXIS, InputError, check_count
 from fenics_crack.basics.progress import USER_MESSAGE_LOGGER, StageLineHandler, begin_stage
-from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, Table
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, Table, have_equal_numbers
 from fenics_crack.basics.untrusted_files import read_regular_file, read_utf8_text
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import read_packaged_text
@@ -550,24 +550,13 @@ def make_writable_folder(folder: Path, comm: MPI.Comm) -> None:
     )
 
 
-def _equal_but_for_rounding(text: str, other_text: str) -> bool:
-    """Return True for texts whose numbers differ by a relative 1e-9 at most, or are rounding."""
-    pattern = re.compile(r"-?\d+\.?\d*(?:[eE][+-]?\d+)?")
-    if pattern.sub("0", text) != pattern.sub("0", other_text):
-        return False
-    numbers, other_numbers = (
-        np.array(pattern.findall(numbers_text), float) for numbers_text in (text, other_text)
-    )
-    return np.allclose(numbers, other_numbers, rtol=1e-9, atol=1e-15)
-
-
 def keep_previous_files_and_return_note(
     table_path: Path, table_text: str, comm: MPI.Comm, *other_result_file_stems: str
 ) -> str:
     """Keep the previous result's files in the folder ``before`` (collective).
 
-    The folder keeps a single previous result. If previous and new table have the same text and
-    numbers, but for rounding, nothing is kept.
+    The folder keeps a single previous result. If previous and new table have the same text, within
+    the rounding of their numbers, nothing is kept.
 
     Parameters
     ----------
@@ -597,12 +586,12 @@ def keep_previous_files_and_return_note(
 
     def keep_files_on_root() -> str:
         try:
-            old_bytes = read_regular_file(table_path, follows_links=False)
-            if _equal_but_for_rounding(old_bytes.decode(errors="replace"), table_text):
+            previous_text = read_regular_file(table_path, follows_links=False).decode()
+            if have_equal_numbers(previous_text, table_text):
                 return ""
         except FileNotFoundError:
             return ""
-        except OSError:  # no table of ours
+        except (OSError, ValueError):  # no table of ours
             pass
         try:
             if not back_up_files(file_names, table_path.parent, previous_folder):

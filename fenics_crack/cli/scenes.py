@@ -110,14 +110,14 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
         scene, structure, highest_harmonic_omega(scene)
     )
     scene_remarks = remarks_on_scene(study.scene, structure, key_figures)
-    for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:
-        structure_file.write_noted_structure(console.comm)
     rows_with_values = [
         (label, value) for label, value in values_by_label.items() if value is not None
     ]
     console.print_table(Table(("what", "value"), rows_with_values))
     console.print_notes(damping_remark_text)
     console.print_remarks(*scene_remarks)
+    for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:
+        structure_file.write_noted_structure(console.comm)
 
 
 def make_missing_curve_error(scene: Scene, console: Console) -> InputError:

@@ -36,6 +36,13 @@ _DTYPE_KINDS_BY_FIELD = {
     **dict.fromkeys(("undecided", "irregular", "equivalent", "hidden"), "b"),
 }
 """NumPy kinds (``dtype.kind``) by field name; fields not listed allow "bifu", real numbers."""
+_FIND_UNKNOWN_BY_FIELD: dict[str, Any] = {
+    **dict.fromkeys(("arrivals", "multipliers", "bifurcation_multipliers"), np.isnan),
+    **dict.fromkeys(("coefficients", "covariance", "amplitudes", "amplitude_errors"), np.isnan),
+    **dict.fromkeys(("omega_errors", "damping_errors"), np.isnan),
+    "conditions": np.isinf,
+}
+"""Functions that find the numbers of an array that are not finite on purpose, by field name."""
 
 
 def pack_dataclass(instance: Any, *omitted_names: str) -> Datasets:
@@ -251,19 +258,21 @@ class _DatasetReader(NamedTuple):
 
 
 def check_arrays(datasets: Mapping[str, Any]) -> None:
-    """Raise ValueError if an array from a file has a wrong NumPy type or numbers out of range.
+    """Raise ValueError if an array from a file has a wrong NumPy type, or numbers not finite.
 
-    Absolute values above ``MAX_ALLOWED_MAGNITUDE`` are out of range, and nan but for unknown
-    multipliers. Indices must be whole numbers, for example, and flags must be True or False.
-    ``datasets`` has arrays and other values by field name; only arrays are checked.
+    Values above ``MAX_ALLOWED_MAGNITUDE`` and nan are refused, but for missing arrivals and for
+    :data:`_FIND_UNKNOWN_BY_FIELD`. Indices must be whole numbers, for example, and flags must be
+    True or False. ``datasets`` has arrays and other values by field name; only arrays are checked.
     """
     for name, array in datasets.items():
         if isinstance(array, np.ndarray):
-            allowed_kinds = _DTYPE_KINDS_BY_FIELD.get(name.rpartition(".")[2], "bifu")
-            magnitudes = np.abs(np.nan_to_num(array) if name.endswith("multipliers") else array)
-            if array.dtype.kind not in allowed_kinds or not np.all(
-                magnitudes <= MAX_ALLOWED_MAGNITUDE
+            field_name = name.rpartition(".")[2]
+            find_unknown = _FIND_UNKNOWN_BY_FIELD.get(
+                "arrivals" if name.startswith("arrivals.") else field_name, np.zeros_like
+            )
+            if array.dtype.kind not in _DTYPE_KINDS_BY_FIELD.get(field_name, "bifu") or not np.all(
+                (np.abs(array) <= MAX_ALLOWED_MAGNITUDE) | (find_unknown(array) != 0)
             ):
                 raise ValueError(
-                    f"its entry '{name}' has wrong numbers, or none, or too large ones"
+                    f"its entry '{name}' has numbers of a wrong type, too large or not finite"
                 )

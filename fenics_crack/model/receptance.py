@@ -21,7 +21,7 @@ MacNeal, Computers & Structures 1, 1971, 581.
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,12 @@ class Receptance:
     inertia : (n_pairs,) [m s^2/N]
         Diagonal of B^T G M G B, with the gap matrix B and the mass M. At the angular frequency w, a
         pair's compliance by these modes exceeds the static one by about w^2 times this number.
+    n_base : int or None
+        G omits the lowest ``n_base`` modes: 0 if the structure is well supported. None: all modes.
+        Modes that are added later leave G as it is.
+    mode_counts : tuple of int
+        Numbers of modes that were computed one after another. Computed in other steps, modes differ
+        in their last digits.
     """
 
     squares: np.ndarray
@@ -69,11 +75,19 @@ class Receptance:
     rows: dict[int, tuple[np.ndarray, np.ndarray]]
     force: np.ndarray
     inertia: np.ndarray
+    n_base: int | None = None
+    mode_counts: tuple[int, ...] = ()
 
     @property
     def n_modes(self) -> int:
         """Number of modes."""
         return len(self.squares)
+
+    def _sign_and_modes(self, n_kept_modes: int) -> tuple[float, slice]:
+        """Return +1 and the modes n_kept to n_base, or -1 and the modes n_base to n_kept."""
+        n_base = self.n_modes if self.n_base is None else self.n_base
+        lower_count, upper_count = sorted((n_kept_modes, n_base))
+        return (1.0 if n_kept_modes < n_base else -1.0), slice(lower_count, upper_count)
 
     def residual_response(
         self, n_kept_modes: int, residual_part: np.ndarray, modal_displacements: np.ndarray
@@ -82,15 +96,15 @@ class Receptance:
 
         The responses are Y^T G X: displacements along the columns of a matrix Y (m columns) by the
         unit forces X on pairs and load. G is the static flexibility of all modes except the first
-        ``n_kept_modes``. This object's modes beyond the first ``n_kept_modes`` are added to
-        ``residual_part``.
+        ``n_kept_modes``. Modes that only one of both flexibilities omits are added to, or taken
+        from, ``residual_part``.
 
         Parameters
         ----------
         n_kept_modes : int
             Number of lowest modes that G omits, at most ``n_modes``.
         residual_part : (m, n_sources)
-            Y^T G X with the static flexibility that omits all ``n_modes`` modes of this object.
+            Y^T G X with the static flexibility that omits ``n_base`` modes.
         modal_displacements : (m, n_modes)
             Y^T Phi with the mode shapes Phi.
 
@@ -99,11 +113,9 @@ class Receptance:
         (m, n_sources)
             Y^T G X.
         """
-        truncated_mode_slice = slice(n_kept_modes, None)
-        modal_flexibility = (
-            modal_displacements[:, truncated_mode_slice] / self.squares[truncated_mode_slice]
-        )
-        return np.asarray(residual_part + modal_flexibility @ self.modal[:, truncated_mode_slice].T)
+        sign, modes = self._sign_and_modes(n_kept_modes)
+        modal_flexibility = modal_displacements[:, modes] / (sign * self.squares[modes])
+        return np.asarray(residual_part + modal_flexibility @ self.modal[:, modes].T)
 
     def compliance_beyond(self, n_kept_modes: int) -> np.ndarray:
         """Return the static compliance of all modes except the first ``n_kept_modes``.
@@ -122,10 +134,9 @@ class Receptance:
         truncated modes' static flexibility. The sum of J measures the error of a quasi-static
         response.
         """
-        modal_flexibility = (
-            self.modal[: len(self.inertia), n_kept_modes:] / self.squares[n_kept_modes:]
-        )
-        return np.asarray(self.inertia + np.sum(modal_flexibility**2, axis=1))
+        sign, modes = self._sign_and_modes(n_kept_modes)
+        modal_flexibility = self.modal[: len(self.inertia), modes] / self.squares[modes]
+        return np.asarray(self.inertia + sign * np.sum(modal_flexibility**2, axis=1))
 
 
 def receptance(
@@ -224,13 +235,12 @@ def _convert_receptance_to_load(
         for known_dof, (shape_row, residual_row) in known_receptance.rows.items()
     }
     compliance = source_transformation.T @ known_receptance.compliance @ source_transformation
-    return Receptance(
-        known_receptance.squares,
-        source_transformation.T @ known_receptance.modal,
-        compliance,
-        rows_by_dof,
-        structure.force,
-        known_receptance.inertia,
+    return replace(
+        known_receptance,
+        modal=source_transformation.T @ known_receptance.modal,
+        compliance=compliance,
+        rows=rows_by_dof,
+        force=structure.force,
     )
 
 
@@ -283,8 +293,8 @@ def _extend_receptance(
 ) -> Receptance:
     """Compute a receptance with ``n_modes`` modes (collective).
 
-    If ``known_receptance`` with fewer modes is given, the static compliance is taken from there,
-    less the new modes' part. If ``known_receptance`` is None, static responses are computed.
+    If ``known_receptance`` with fewer modes is given, its static responses stay as they are. They
+    are computed if it is None or all of its modes are rigid, and are 0 if no mode is left out.
     ``stiffness_factor`` is the factor of the stiffness, if known.
     """
     begin_stage("factorisation of the stiffness")
@@ -293,69 +303,48 @@ def _extend_receptance(
         if stiffness_factor is None
         else nullcontext(stiffness_factor)
     ) as factored_stiffness:
-        modes = solve_modes_with_factor(factored_stiffness, structure, n_modes)
-        squares, has_all_modes = modes.omega**2, n_modes == structure.n_dofs
-        flexibility = ResidualFlexibility(
-            structure, modes.shapes, squares, pair_and_load_force_matrix(structure)
-        )
-        begin_stage("static responses")
+        mode_counts = (*(known_receptance.mode_counts if known_receptance else ()), n_modes)
+        for n_modes_of_step in mode_counts:  # of a file in the steps of its command
+            modes = solve_modes_with_factor(factored_stiffness, structure, n_modes_of_step)
+        squares, sources = modes.omega**2, pair_and_load_force_matrix(structure)
+        modal_forces = structure.sum_over_ranks(sources.T @ modes.shapes)
+        has_all_modes = n_modes == structure.n_dofs
         # Without an elastic mode there may be further rigid-body motions.
-        if known_receptance is None or known_receptance.squares[-1] == 0.0:
-            sources_shape = flexibility.modal_forces_of_sources.shape[:1]
-            zero_compliance_and_inertia = np.zeros(sources_shape * 2), np.zeros(sources_shape)
-            compliance, squared_omega_slope_of_compliance = (
-                zero_compliance_and_inertia
-                if has_all_modes
-                else flexibility.compliance_and_inertia(factored_stiffness)
-            )
+        if known_receptance is None or known_receptance.squares[-1] == 0.0 or has_all_modes:
+            begin_stage("static responses")
+            # With a hinge that hardly resists, only rounding of the modal part would remain.
+            is_well_supported = np.all(squares > np.sqrt(MACHINE_EPSILON) * squares[-1])
+            n_base = 0 if is_well_supported and not has_all_modes else n_modes
+            sources_shape = (len(modal_forces),)
+            compliance, inertia = np.zeros(2 * sources_shape), np.zeros(sources_shape)
+            if not has_all_modes:
+                compliance, inertia = ResidualFlexibility(
+                    structure, modes.shapes[:, :n_base], squares[:n_base], sources
+                ).compliance_and_inertia(factored_stiffness)
             receptance_from_scratch = Receptance(
-                squares,
-                flexibility.modal_forces_of_sources,
-                compliance,
-                {},
-                structure.force,
-                squared_omega_slope_of_compliance[: structure.n_pairs],
-            )
+                squares, modal_forces, compliance, {}, structure.force,
+                inertia[: structure.n_pairs], n_base, mode_counts,
+            )  # fmt: skip
             _store_dof_rows(
                 receptance_from_scratch,
                 structure,
                 _loaded_dofs(structure),
-                flexibility,
+                modes.shapes,
                 factored_stiffness,
             )
             return receptance_from_scratch
-    new_mode_range = slice(known_receptance.n_modes, None)
-    modal_flexibility = (
-        flexibility.modal_forces_of_sources[:, new_mode_range] / squares[new_mode_range]
-    )
-    compliance = (
-        known_receptance.compliance
-        - modal_flexibility @ flexibility.modal_forces_of_sources[:, new_mode_range].T
-    )
-    squared_omega_slope_of_compliance = known_receptance.inertia - np.sum(
-        modal_flexibility[: structure.n_pairs] ** 2, axis=1
-    )
     known_dofs = [*known_receptance.rows]
     shape_rows = structure.values_at(modes.shapes.T, known_dofs).T
-    static_displacement_rows = (
-        np.array([residual_row for _, residual_row in known_receptance.rows.values()])
-        - shape_rows[:, new_mode_range] @ modal_flexibility.T
-    )
-    residual_multiplier = 0.0 if has_all_modes else 1.0
-    rows_by_dof = dict(
-        zip(
-            known_dofs,
-            zip(shape_rows, residual_multiplier * static_displacement_rows, strict=True),
-            strict=True,
-        )
-    )
-    return Receptance(
-        squares,
-        flexibility.modal_forces_of_sources,
-        residual_multiplier * compliance,
-        rows_by_dof,
-        structure.force,
-        residual_multiplier * squared_omega_slope_of_compliance,
+    rows_by_dof = {
+        dof: (shape_row, known_receptance.rows[dof][1])
+        for dof, shape_row in zip(known_dofs, shape_rows, strict=True)
+    }
+    return replace(
+        known_receptance,
+        squares=squares,
+        modal=modal_forces,
+        rows=rows_by_dof,
+        mode_counts=mode_counts,
     )
 
 
@@ -388,10 +377,7 @@ def modal_and_static_displacement_rows(
     ]
     if missing_dofs:
         shapes = solve_modes(structure, known_receptance.n_modes).shapes
-        flexibility = ResidualFlexibility(
-            structure, shapes, known_receptance.squares, pair_and_load_force_matrix(structure)
-        )
-        _store_dof_rows(known_receptance, structure, np.array(missing_dofs), flexibility)
+        _store_dof_rows(known_receptance, structure, np.array(missing_dofs), shapes)
     shape_rows, static_displacement_rows = (
         np.array(rows_of_dofs)
         for rows_of_dofs in zip(
@@ -441,13 +427,13 @@ def _store_dof_rows(
     known_receptance: Receptance,
     structure: Structure,
     dofs: np.ndarray,
-    flexibility: ResidualFlexibility,
+    shapes: np.ndarray,
     stiffness_factor_or_none: Factor | None = None,
 ) -> None:
     """Add displacements of dofs to the attribute ``rows`` of a receptance (collective).
 
     For each dof, ``rows`` gets the displacements in the receptance's modes, and static
-    displacements by unit forces. The static displacements omit the receptance's modes.
+    displacements by unit forces. The static displacements omit the first ``n_base`` modes.
 
     Parameters
     ----------
@@ -457,9 +443,8 @@ def _store_dof_rows(
         Structure with the stiffness, to which the dofs belong.
     dofs : (m,) int
         Numbers of the dofs.
-    flexibility : ResidualFlexibility
-        Static flexibility without the receptance's modes. The attribute ``sources`` has the unit
-        forces.
+    shapes : (n_local, n_modes)
+        Shapes of the receptance's modes.
     stiffness_factor_or_none : Factor, optional
         Factor of the stiffness. Default: it is computed.
     """
@@ -477,6 +462,13 @@ def _store_dof_rows(
     )
     static_displacement_rows = np.zeros((len(dofs), len(known_receptance.modal)))
     if known_receptance.n_modes < structure.n_dofs:
+        n_base = known_receptance.n_base
+        flexibility = ResidualFlexibility(
+            structure,
+            shapes[:, :n_base],
+            known_receptance.squares[:n_base],
+            pair_and_load_force_matrix(structure),
+        )
         stiffness_factor = stiffness_factor_or_none or Factor(structure.stiffness, definite=True)
         with (
             nullcontext(stiffness_factor)
@@ -486,7 +478,7 @@ def _store_dof_rows(
             static_displacement_rows = flexibility.projected_compliance_and_inertia(
                 usable_factor, unit_forces
             )[0]
-    shape_rows = structure.values_at(flexibility.shapes.T, dofs).T
+    shape_rows = structure.values_at(shapes.T, dofs).T
     known_receptance.rows.update(
         zip(map(int, dofs), zip(shape_rows, static_displacement_rows, strict=True), strict=True)
     )

@@ -340,8 +340,14 @@ class PreparedStructure:
             range_by_name |= {
                 f"{receptance_prefix}.squares": (0, MAX_ALLOWED_MAGNITUDE),
                 f"{receptance_prefix}.rows": (0, n_dofs),
+                f"{receptance_prefix}.n_base": (0, n_modes + 1),
+                f"{receptance_prefix}.mode_counts": (1, n_modes + 1),
             }
-            array_by_name[f"{receptance_prefix}.rows"] = np.array([*stored_receptance.rows])
+            array_by_name |= {
+                f"{receptance_prefix}.rows": np.array([*stored_receptance.rows]),
+                f"{receptance_prefix}.n_base": np.array([stored_receptance.n_base or 0]),
+                f"{receptance_prefix}.mode_counts": np.array(stored_receptance.mode_counts),
+            }
         check_shapes(array_by_name, shape_by_name)
         for name, array in array_by_name.items():
             lower_limit, upper_limit = range_by_name.get(

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.basics.atomic_files import tidy_and_count_free_bytes
+from fenics_crack.basics.atomic_files import check_disk_space
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.fem.setting import list_mean_cos_and_sin_force_vectors
@@ -40,6 +40,8 @@ from fenics_crack.study.sharing import (
 STRUCTURE_FILE_KIND = "structure of a command"
 MAX_STRUCTURE_FILE_BYTES = 500 * 10**6
 """Maximum size of all arrays in a structure file [byte]; a larger structure is not kept."""
+MIN_FREE_FILE_SIZES = 10
+"""A structure is kept if the disk has room for so many of its files: results come first."""
 
 
 def digest_of_dependencies(dependencies: tuple[Any, Any, Any]) -> str:
@@ -123,8 +125,8 @@ class StructureFile:
         """Write the noted structure with its coarser structure (collective).
 
         Nothing is written if the arrays that were read from the file are at least as large. If
-        writing fails, the arrays exceed 500 MB, or the disk has no room for ten such files, a line
-        is printed. Files that killed commands left unfinished are removed.
+        writing fails, the arrays exceed 500 MB or a tenth of the disk's free space, a line is
+        printed.
         """
         for shared_structure, scene in self._noted_structures_and_scenes:
             if shared_structure.comm.size < comm.size and comm.rank:
@@ -156,15 +158,10 @@ class StructureFile:
                         str(self._path),
                         f"a file of at most {MAX_STRUCTURE_FILE_BYTES / 1e6:g} MB",
                     )
-                n_free_bytes = on_root(
-                    shared_structure.comm, partial(tidy_and_count_free_bytes, self._path)
+                on_root(
+                    shared_structure.comm,
+                    partial(check_disk_space, self._path, MIN_FREE_FILE_SIZES * n_dataset_bytes),
                 )
-                if n_free_bytes < 10 * n_dataset_bytes:
-                    raise InputError(
-                        "path",
-                        str(self._path),
-                        f"on a disk with room for ten of it, {n_dataset_bytes / 1e5:.3g} MB",
-                    )
                 write_result_file(
                     dataset_by_name,
                     self._path,

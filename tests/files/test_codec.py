@@ -124,6 +124,33 @@ def test_result_comes_back(name: str, tmp_path: Path) -> None:
     assert main(["plot", str(path), "--quiet", "--output", str(tmp_path)]) in (0, 2)
 
 
+@pytest.mark.parametrize("kind", ["modes", "solution"])
+def test_arrays_are_finite(kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Each array of a file with nan is refused by its name, and nothing is drawn."""
+    path, scene = tmp_path / f"{kind}.h5", cracked(100.0).replace({"harmonic_balance.harmonics": 3})
+    run: fc.Run[Any] = fc.modes(scene, 2) if kind == "modes" else fc.solve(scene)
+    run.save(path)
+    content = path.read_bytes()
+    with h5py.File(path) as file:
+        names = [name for name, item in file.items() if item.ndim and item.dtype.kind == "f"]
+    assert names
+    for name in names:
+        path.write_bytes(content)
+        with changed(path) as file:
+            file[name][...] = np.nan
+        assert main(["plot", str(path), "--quiet"]) == 2
+        [line] = capfd.readouterr().err.splitlines()
+        assert str(path) in line and f"'{name}'" in line and "finite" in line
+
+
+def test_unknown_numbers_come_back(tmp_path: Path) -> None:
+    """The condition number of an order that the probes cannot measure, and a missing arrival."""
+    timing = of_one_speed()
+    timing.arrivals[1].time[3, 2], timing.fits[1].candidates.conditions[0] = np.nan, np.inf
+    timing.save(tmp_path / "timing.h5")
+    assert same(timing, fc.Timing.load(tmp_path / "timing.h5"))
+
+
 def test_forged_results_are_refused(tmp_path: Path) -> None:
     """Datasets that are not what their fields are, by one InputError each."""
     of_one_speed().save(tmp_path / "timing.h5")
@@ -132,6 +159,7 @@ def test_forged_results_are_refused(tmp_path: Path) -> None:
         ("arrivals", "nothing"), ("arrivals.1.time", np.ones(3)),
         ("fits.1.candidates.orders", "words"), ("fits.1.coefficients", np.full(3, 1e300)),
         ("fits.1.multiples", np.ones(2, dtype=complex)),
+        ("fits.1.candidates.residuals", np.full(3, np.nan)),
     ]  # fmt: skip
     for name, value in values:
         forged_path = tmp_path / "forged.h5"

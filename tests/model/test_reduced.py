@@ -422,7 +422,7 @@ def test_from_arrays_alone() -> None:
     full_model, full_receptance = reduced(full_structure, 6), receptance(full_structure, 16)
     parts = {
         name: getattr(full_receptance, name)
-        for name in ("squares", "modal", "compliance", "rows", "inertia")
+        for name in ("squares", "modal", "compliance", "rows", "inertia", "n_base")
     }
     bare_chain = chain("modal", 30)
     receptances = bare_chain.compute_once(make_shared_receptance_cache, from_matrices=True)
