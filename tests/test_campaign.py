@@ -32,11 +32,9 @@ BY_EXACT_ORBITS = [
     pytest.param(183, id="one mass, k R = 1800", marks=pytest.mark.nightly),
     pytest.param(894, id="chatters: not solved with more than 20 harmonics"),
 ]
-OF_NO_ORBIT = {
-    406: "called stable; the exact motion that begins there goes away at once",
-    554: "called stable by its harmonics, with an estimate of 10 %; the orbits that 10, 20 and 40 "
-    "lead to are unstable, 7 % away and less",
-}
+ONE_ORBIT_AWAY = {406: "stable", 554: "unstable"}
+"""Verdicts of solutions 6 and 9 % away from their orbit, to which Newton's method leads from more
+harmonics alone."""
 
 
 @pytest.mark.parametrize("number", WERE_WRONG)
@@ -69,16 +67,15 @@ def test_tolerance_is_met_by_an_exact_orbit(number: int) -> None:
     assert row["true"] <= row["estimate"] * 1.05 + (2e-3 if number == 23 else 0.0)
 
 
-@pytest.mark.parametrize("number", OF_NO_ORBIT)
-def test_is_not_called_stable(number: int) -> None:
-    """Nor unstable: no orbit is found."""
+@pytest.mark.parametrize(("number", "verdict"), ONE_ORBIT_AWAY.items())
+def test_verdict_is_that_of_the_orbit_found_from_more_harmonics(number: int, verdict: str) -> None:
+    """The judge's flow has the same orbit, and multipliers on the same side."""
     case = campaign.draw(1, number)
     solution = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=case.harmonics
     )
-    verdict = fc.floquet(case.structure, solution).verdict
-    assert verdict in ("irregular", "undecided")
-    assert campaign.judge(case, solution, "solution", verdict).judgement != campaign.WRONG
+    assert fc.floquet(case.structure, solution).verdict == verdict
+    assert campaign.judge(case, solution, "solution", verdict).judgement == campaign.RIGHT
 
 
 def test_short_ranges_in_which_a_light_damping_is_overcome() -> None:
@@ -275,10 +272,10 @@ def test_run_goes_on_and_is_added_up(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "few" in printed and "Wrong" in printed
 
 
-@pytest.mark.parametrize("number", [65, 140])
+@pytest.mark.parametrize("number", [140])
 def test_orbit_that_newton_s_method_does_not_find(number: int) -> None:
-    """It leads to none from the solution with the case's harmonics, whose error is large or not
-    known; to a tolerance there is one, and the judge's flow repeats it."""
+    """It leads to none from the solution with the case's harmonics, nor with more, whose error is
+    large; to a tolerance there is one, and the judge's flow repeats it."""
     case = campaign.draw(171, number, "solution")
     few = fc.solve_harmonic_balance(case.structure, case.omega, case.law, harmonics=case.harmonics)
     assert few.assessment.nearest_orbit is None and few.report.truncation > campaign.LARGE

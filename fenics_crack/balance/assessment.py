@@ -237,8 +237,9 @@ class Assessment:
             return self._orbit_from_solution, self.close_orbit is not None
         if not self.wave.structure.has_massless_crack_faces:
             orbit = self._search_more_harmonics()
+            max_distance = min(self._allowed_orbit_distance, 3.0 * self.predicted_error)
             is_close = orbit is not None and (
-                relative_gap_distance(self.wave, orbit) <= self._allowed_orbit_distance
+                relative_gap_distance(self.wave, orbit) <= max_distance
             )
             return (orbit, True) if is_close else (None, False)
         finer_assessment = self._assessment_with_twice_harmonics()
