@@ -9,9 +9,10 @@ orbit's numbers. The limits are in :func:`fenics_crack.errors.numbers.find_accep
 *Friction.*
 
 - If the answer has no friction, two exact orbits are compared, without and with friction. Both have
-  few modes, and crack faces without mass. The part is 1.2 (c^2 + (s / 2)^2)^(1/2), with a number's
-  change c from orbit to orbit. s is the size of the motion's change, since extremes of both orbits
-  may agree by chance (:func:`fenics_crack.errors.numbers.measure_absolute_changes_by_name`).
+  few modes, and crack faces without mass. The part is 1.2 (c^2 + (s / 2)^2)^(1/2), but at least s,
+  with a number's change c from orbit to orbit. s is the size of the motion's change, since extremes
+  of both orbits may agree by chance
+  (:func:`fenics_crack.errors.numbers.measure_absolute_changes_by_name`).
 - If a solid has friction along a line at each pair, the part is 2 r times the change by friction.
   Here r is the frictionless motion's ratio of sliding across the lines to sliding along them.
 """
@@ -235,8 +236,11 @@ class JudgedAnswer:
             relative_change = _relative_change(quantity_name, *values_of_orbits)
             motion_change = change_by_name.get(quantity_name, 0.0)
             frictionless_size = abs(values_of_orbits[0].get(quantity_name, 0.0)) or np.inf
-            relative_error_of_quantity = FRICTION_EFFECT_SAFETY_FACTOR * math.hypot(
-                relative_change, MOTION_CHANGE_WEIGHT * motion_change / frictionless_size
+            motion_change /= frictionless_size
+            relative_error_of_quantity = max(
+                FRICTION_EFFECT_SAFETY_FACTOR
+                * math.hypot(relative_change, MOTION_CHANGE_WEIGHT * motion_change),
+                motion_change,
             )
             answer_and_changed_value = value, value * (1.0 + relative_change)
             safety_factor = (
