@@ -71,7 +71,13 @@ MAX_HARMONIC_DOUBLINGS_FOR_ORBIT = 2
 
 
 @keep_old_attribute_names(
-    orbit="nearest_orbit", accepted="is_accepted", distance="relative_orbit_distance"
+    accepted="is_accepted",
+    distance="relative_orbit_distance",
+    gap_and_load_errors="gap_and_displacement_errors",
+    is_of="holds_for",
+    orbit="nearest_orbit",
+    orbit_prediction="orbit_prediction_by_newton_step",
+    states_over_period="states_at_period_parts",
 )
 class Assessment:
     """Comparison of a harmonic-balance solution with exact motions.

@@ -31,6 +31,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError
+from fenics_crack.basics.ranks import collect_garbage
 
 MAX_BLOCK_COLUMNS = 16
 """Maximum number of columns that are solved or multiplied together: PETSc copies them."""
@@ -47,10 +48,16 @@ Measured: 45 or more in solids, 18 to 32 in planes. With fewer entries, MUMPS el
 order of minimum fill. For plane matrices, its own choice would take 1.7 times as long. For solids
 this order would be slower, and the factors larger.
 """
+WORKSPACE_PERCENTS = (20, 200, 2000)
+"""Work space of MUMPS beyond its estimate [%]: each is tried if the one before is too small.
+
+The first is MUMPS's default. On several ranks the need depends on the distribution of the rows, and
+on the order in which messages arrive.
+"""
 OPTIONS_PREFIX = "crack_factor_"
 """Prefix of PETSc options for the factorisations of this module."""
-ORDERING_OPTION, PRINT_OPTION = "mat_mumps_icntl_7", "mat_cholmod_print"
-"""PETSc options for the order of elimination in MUMPS, and for messages of CHOLMOD."""
+MUMPS_OPTION, PRINT_OPTION = f"{OPTIONS_PREFIX}mat_mumps_icntl_", "mat_cholmod_print"
+"""PETSc options for MUMPS, without the number at the end, and for messages of CHOLMOD."""
 
 
 def estimate_factor_bytes(n_dofs: float, *, solid: bool) -> float:
@@ -104,8 +111,10 @@ def make_matrix_from_local_rows(rows: Any, comm: MPI.Comm) -> Any:
 def make_square_petsc_matrix(local_csr_rows: sparse.csr_matrix, comm: MPI.Comm) -> Any:
     """Make a square PETSc matrix from the CSR rows (n_local, n) of each rank (collective).
 
-    No diagonal entry is added, unlike in :func:`make_matrix_from_local_rows`.
+    No diagonal entry is added, unlike in :func:`make_matrix_from_local_rows`. Matrices that are no
+    longer referenced are freed first: many small ones may be made for one mesh.
     """
+    collect_garbage(comm)
     n_local, n_columns = local_csr_rows.shape
     row_and_column_sizes = ((n_local, PETSc.DETERMINE), (n_local, n_columns))
     petsc_matrix = PETSc.Mat().createAIJ(
@@ -165,6 +174,8 @@ class Factor:
 
     Notes
     -----
+    A ConvergenceError is raised if MUMPS cannot factor the matrix, or if a solution is not finite.
+
     Use it as a context manager, or call :meth:`destroy`: all ranks free the factors of a parallel
     matrix together. PETSc options with the prefix ``crack_factor_`` reach the solver.
     """
@@ -191,22 +202,21 @@ class Factor:
                 return
             except PETSc.Error:
                 self._destroy_factor()
-        self._factorise("mumps")
-        if matrix.comm.size > 1 and not self._solves_finitely():
-            # On some partitions MUMPS's search for null pivots ends in infinite solutions.
+        for self._workspace_percent in WORKSPACE_PERCENTS:
+            self._factorise("mumps")
+            if (error_number := self._factor.getMumpsInfog(1)) >= 0:  # PETSc raises no error
+                break
             self._destroy_factor()
-            self._factorise("mumps", finds_null_pivots=False)
+        else:
+            raise (MemoryError if error_number == -13 else ConvergenceError)(
+                f"MUMPS cannot factor a matrix of {self._matrix.size[0]} rows: INFOG(1) = "
+                f"{error_number}, which its guide explains; check the size of the matrix's "
+                "entries, or use another number of ranks"
+            )
         self.n_null_pivots = int(self._factor.getMumpsInfog(28))
         self.n_negative_pivots = int(self._factor.getMumpsInfog(12)) - self._n_border
 
-    def _solves_finitely(self) -> bool:
-        """Return True if A x = (1, 1, ...) has a finite solution (collective)."""
-        rhs, solution = self._padded_rhs_and_solution
-        rhs.set(1.0)
-        self._pc.apply(rhs, solution)
-        return bool(np.isfinite(solution.norm()))
-
-    def _factorise(self, package_name: str, *, finds_null_pivots: bool = True) -> None:
+    def _factorise(self, package_name: str) -> None:
         """Factor the matrix with a package: "mumps", "cholmod" or "umfpack" (collective).
 
         A PETSc option of the user overrides the same option that is set here.
@@ -222,10 +232,13 @@ class Factor:
         ):  # no warning for each zero pivot; PETSc reads one of both options
             default_options = {PRINT_OPTION: 0, OPTIONS_PREFIX + PRINT_OPTION: 0}
         elif package_name == "mumps":
+            default_options = {
+                f"{MUMPS_OPTION}24": 1,  # detect null pivots
+                f"{MUMPS_OPTION}14": self._workspace_percent,
+            }
             n_matrix_nonzeros = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
             if n_matrix_nonzeros < MIN_SOLID_ROW_ENTRIES * self._matrix.size[0]:
-                # Minimum fill; setMumpsIcntl does not last.
-                default_options = {OPTIONS_PREFIX + ORDERING_OPTION: 2}
+                default_options[f"{MUMPS_OPTION}7"] = 2  # minimum fill
         default_options = {
             option_name: option_value
             for option_name, option_value in default_options.items()
@@ -237,8 +250,6 @@ class Factor:
             self._pc.setFactorSetUpSolverType()
             self._factor = self._pc.getFactorMatrix()
             self._factor.setOptionsPrefix(OPTIONS_PREFIX)  # before PETSc reads the options
-            if package_name == "mumps":
-                self._factor.setMumpsIcntl(24, int(finds_null_pivots))
             self._pc.setFromOptions()
             self._pc.setUp()
         finally:
@@ -246,15 +257,12 @@ class Factor:
                 options.delValue(option_name)
 
     def apply(self, rhs: Any, solution: Any) -> None:
-        """Solve A x = ``rhs`` for one PETSc vector, into ``solution`` (collective).
-
-        ConvergenceError: the solution is not finite.
-        """
+        """Solve A x = ``rhs`` for one PETSc vector, into ``solution`` (collective)."""
         padded_rhs, padded_solution = self._padded_rhs_and_solution
         padded_rhs.array_w[: self._n_local] = rhs.array_r
         padded_rhs.array_w[self._n_local :] = 0.0
         self._pc.apply(padded_rhs, padded_solution)
-        _check_norm(padded_solution.norm())
+        _check_solution(padded_rhs, padded_solution)
         solution.array_w[:] = padded_solution.array_r[: self._n_local]
 
     def solve(self, rhs: np.ndarray | sparse.spmatrix) -> np.ndarray:
@@ -269,11 +277,6 @@ class Factor:
         -------
         (m, n_local)
             Solutions x, one in each row.
-
-        Raises
-        ------
-        ConvergenceError
-            A solution is not finite.
         """
         solutions = np.empty(rhs.shape)
         for start in range(0, len(solutions), MAX_BLOCK_COLUMNS):
@@ -302,7 +305,7 @@ class Factor:
             dense_matrix.setUp()
             dense_matrix.assemble()
         self._factor.matSolve(rhs_matrix, solution_matrix)
-        _check_norm(solution_matrix.norm(PETSc.NormType.FROBENIUS))
+        _check_solution(rhs_matrix, solution_matrix)
         solutions = np.array(solution_matrix.getDenseArray()[:n_local_dofs].T)
         rhs_matrix.destroy()
         solution_matrix.destroy()
@@ -330,12 +333,12 @@ class Factor:
         self.destroy()
 
 
-def _check_norm(norm: float) -> None:
-    """Raise ConvergenceError unless the norm of a solution is finite."""
-    if not np.isfinite(norm):
+def _check_solution(rhs: Any, solution: Any) -> None:
+    """Raise ConvergenceError if a finite PETSc vector or matrix has no finite solution."""
+    if not np.isfinite(solution.norm()) and np.isfinite(rhs.norm()):  # equal on all ranks
         raise ConvergenceError(
-            "a linear system has no finite solution: its matrix is singular, or the factorisation "
-            "failed; if it does so on several ranks alone, use another number of ranks"
+            "a factored matrix has no finite solution: its entries are too large or too small, or "
+            "options of PETSc spoil the factor"
         )
 
 
@@ -363,9 +366,6 @@ def _make_saddle_point_matrix(matrix: Any, border: sparse.spmatrix) -> Any:
     saddle_point_rows = sparse.hstack([local_rows(matrix), scaled_border], "csr")
     border_everywhere = sparse.vstack(comm.allgather(scaled_border), "csr")
     if comm.rank == comm.size - 1:
-        border_range = np.arange(n_border)
-        # stored zeros: MUMPS finds no null pivot without an entry
-        zero_block = sparse.csr_matrix((0.0 * border_range, (border_range, border_range)))
-        border_rows = sparse.hstack([border_everywhere.T, zero_block], "csr")
+        border_rows = sparse.hstack([border_everywhere.T, sparse.csr_matrix((n_border, n_border))])
         saddle_point_rows = sparse.vstack([saddle_point_rows, border_rows], "csr")
-    return make_square_petsc_matrix(saddle_point_rows, comm)
+    return make_matrix_from_local_rows(saddle_point_rows, comm)

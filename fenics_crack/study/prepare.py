@@ -17,7 +17,6 @@ from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.machine import machine_memory, process_memory
-from fenics_crack.basics.ranks import collect_garbage
 from fenics_crack.disk.wheel import Wheel, count_basis_families, reduce_wheel
 from fenics_crack.model.contact import (
     ContactLaw,
@@ -156,7 +155,6 @@ def prepare(
         from fenics_crack.fem.build import with_crack_length  # DOLFINx
 
         scene = with_crack_length(scene, comm)
-    collect_garbage(comm)  # the matrices of earlier reductions
     reused_structure = None if like is None else _find_structure_in_reference_study(scene, like)
     structure = (
         assemble_or_reuse_structure(scene, comm, last)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.sparse as sparse
 from helpers import catch_error, chain_stiffness, dense, log_slope
 from mpi4py import MPI
 
@@ -168,6 +169,19 @@ def test_what_is_lost_in_rounding_is_said(height: float) -> None:
         names="too slender",
         kind=fc.ConvergenceError,
     )
+
+
+def test_a_factor_has_the_room_that_its_pivots_need() -> None:
+    """K - omega^2 M whose diagonal is zero, against LAPACK: MUMPS's estimate is much too low."""
+    n, rng = 200, np.random.default_rng(0)
+    block = sparse.random(n, n, 4.0 / n, random_state=1) + sparse.eye(n).tocsr()[rng.permutation(n)]
+    dynamic_stiffness = sparse.bmat([[None, block], [block.T, None]]).toarray()
+    square = float(np.ceil(np.abs(dynamic_stiffness).sum(axis=1).max())) ** 2
+    stiffness, force = dynamic_stiffness + square * np.eye(2 * n), rng.standard_normal(2 * n)
+    structure = Structure.from_matrices(np.eye(2 * n), stiffness, gap=None, force_cos=force)
+    amplitudes = fc.solve_linear(structure, np.sqrt(square)).displacement_coefficients[1]
+    reference = scipy.linalg.solve(dynamic_stiffness, force)
+    np.testing.assert_allclose(amplitudes, reference, rtol=0.0, atol=1e-8 * abs(reference).max())
 
 
 @pytest.mark.parametrize("count", [0, -1, 31, 2.0, True, None, "all"])
