@@ -290,7 +290,7 @@ def make_folder_until_exit() -> Path:
 
 
 def remove_file(path: Path, key: str) -> None:
-    """Remove a file if it exists, and the hidden files that killed programs have left beside it.
+    """Remove an existing file, and hidden files of killed programs in the same folder.
 
     InputError if the file cannot be removed; ``key`` names the option with the path.
     """
@@ -300,10 +300,10 @@ def remove_file(path: Path, key: str) -> None:
 
 
 def remove_hidden_files(final_path: Path) -> None:
-    """Remove the unfinished files that killed programs have left beside a file.
+    """Remove unfinished files of killed programs in the folder of a file.
 
-    A program that writes the file at this moment fails to rename its own. So call this function
-    only for a file that a program may do without.
+    A program writing the file at the same moment fails to rename the hidden file. So call this
+    function only for a dispensable file.
     """
     for hidden_path in final_path.parent.glob(f".{8 * '[0-9a-f]'}.{final_path.name}"):
         with contextlib.suppress(OSError):
