@@ -35,7 +35,7 @@ from fenics_crack.files.store import StoredFile, library_versions_text, read_res
 from fenics_crack.runs.conclusion import frequency_in_words
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.keys import unit_of_key
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, file_keys_and_paths
 from fenics_crack.scene.words import (
     describe_differences,
     file_value_by_key,
@@ -403,7 +403,8 @@ def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
     -------
     dict
         Variables of the template report.html. "mesh": picture, or None without a mesh. "scene":
-        table of keys and values. "toml": the scene's text.
+        table of keys and values. "toml": the scene's text, with
+        names in place of paths.
     """
     scene, mesh_picture = result.scene, None
     if scene.geometry is not None:
@@ -424,10 +425,13 @@ def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
     if scene.excitation.order is not None:
         quantity_rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
     quantity_rows.append(("harmonics", format_harmonic_count(scene)))
+    scene_text = scene.as_toml()
+    for _, path in file_keys_and_paths(scene):  # of this machine, and no reader's
+        scene_text = scene_text.replace(path, Path(path).name)
     return {
         "mesh": mesh_picture,
         "scene": Table(("quantity", "value"), quantity_rows),
-        "toml": scene.as_toml(),
+        "toml": scene_text,
     }
 
 

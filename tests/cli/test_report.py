@@ -281,3 +281,12 @@ def test_a_folder(tmp_path: Path, run_command: RunCommand) -> None:
     empty_folder = tmp_path / "empty"
     empty_folder.mkdir()
     assert "must be a folder with results" in run_command("plot", empty_folder, code=2).err
+
+
+def test_no_path_of_this_machine(tmp_path: Path, run_command: RunCommand) -> None:
+    """The page names the mesh's file, not its folder."""
+    scene, folder = str(DEMOS / "inclined_crack.toml"), str(tmp_path)
+    run_command("modes", scene, "--set", "mesh.error=false", "--output", folder)
+    run_command("report", str(tmp_path / "modes.h5"))
+    page = (tmp_path / "report.html").read_text()
+    assert "inclined_crack.msh" in page and str(ROOT) not in page
