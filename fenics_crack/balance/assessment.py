@@ -8,8 +8,9 @@ Newton's method.
 
 The distance to the orbit is the error. The orbit is accepted if the relative distance is at most
 0.1 (0.5 if crack faces have no mass), and at most three times the prediction. The motion's Floquet
-multipliers are then taken from the orbit. Crack faces may have no mass, and no orbit may be found.
-Then the solution with twice or four times the harmonics is assessed, up to a distance of 0.5.
+multipliers are then taken from the orbit. If Newton's method finds no orbit, more harmonics are
+tried, twice and four times as many: if crack faces have no mass, those solutions are assessed, up
+to a distance of 0.5; otherwise all ways to an orbit start from them.
 
 Without an orbit the error is stated from the prediction p as 3 p / (1 + 2 p): three times a small
 prediction, and never below p. Then the exact motion that begins with the solution is followed, and
