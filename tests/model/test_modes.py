@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sparse
-from helpers import catch_error, chain_stiffness, dense, log_slope
+from helpers import DEMOS, catch_error, chain_stiffness, dense, log_slope
 from mpi4py import MPI
 
 import fenics_crack as fc
@@ -182,6 +182,26 @@ def test_a_factor_has_the_room_that_its_pivots_need() -> None:
     amplitudes = fc.solve_linear(structure, np.sqrt(square)).displacement_coefficients[1]
     reference = scipy.linalg.solve(dynamic_stiffness, force)
     np.testing.assert_allclose(amplitudes, reference, rtol=0.0, atol=1e-8 * abs(reference).max())
+
+
+MODES_OF_SOLID = """
+from mpi4py import MPI
+import fenics_crack as fc
+modes = fc.modes(fc.Scene.load({path!r}), 6).result
+if MPI.COMM_WORLD.rank == 0:
+    print(*modes.omega.tolist())
+"""
+
+
+@pytest.mark.nightly
+@pytest.mark.mpi
+@pytest.mark.parametrize("ranks", [3, 4])
+def test_solid_on_more_ranks(ranks: int, mpirun: Callable[..., str]) -> None:
+    """As on one, however its mesh is distributed: MUMPS needed more room on some distributions."""
+    path = str(DEMOS / "solid_blade.toml")
+    omega = fc.modes(fc.Scene.load(path), 6, MPI.COMM_SELF).result.omega
+    printed = mpirun(MODES_OF_SOLID.format(path=path), ranks).split()
+    np.testing.assert_allclose([float(word) for word in printed], omega, rtol=1e-9)
 
 
 @pytest.mark.parametrize("count", [0, -1, 31, 2.0, True, None, "all"])
