@@ -211,6 +211,7 @@ class Run(StudyWithResult, Generic[ResultType]):
     displacement_field = ResultAttribute()
     displacement_of_local_dofs = ResultAttribute()
     distance_to_steady_motion = ResultAttribute()
+    energy_budget = ResultAttribute()
     estimate = ResultAttribute()
     exact = ResultAttribute()
     face_indicators = ResultAttribute()

@@ -323,7 +323,7 @@ class Damping(Table):
             self.require(
                 self.modes == "all", "modes", f"left out with damping.{key}, which damps all modes"
             )
-        elif self.stiffness is not None:
+        elif self.stiffness:
             self.require(self.modes == "all", "modes", "'all' with damping.stiffness")
         if isinstance(self.ratio, tuple):
             self.require(

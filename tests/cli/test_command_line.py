@@ -437,7 +437,7 @@ def test_points_of_a_curve(results: Path) -> None:
         "amplitude [m]", "mean [m]", "harmonic_1 [m]", "harmonic_2 [m]", "harmonic_3 [m]",
         "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "largest_order", "mean_shift",
         "opening [m]", "penetration [m]", "contact_force [N]", "crack_force [N]",
-        "closed_share",
+        "closed_share", "near_share", "far_share",
         "omega_open [rad/s]", "frequency_open [Hz]", "omega_tied [rad/s]", "frequency_tied [Hz]",
         "omega_bilinear [rad/s]", "frequency_bilinear [Hz]",
         "over_open", "over_tied", "over_bilinear",

@@ -229,7 +229,9 @@ def swept(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         return fc.SweepResult(Path("none.h5"), swept, columns)
 
     monkeypatch.setattr(lengths, "run_sweep", sweep)
-    monkeypatch.setattr(growth, "_estimate_range_error_and_remarks", lambda *_: (0.02, []))
+    monkeypatch.setattr(
+        growth, "_estimate_range_error_and_remarks", lambda *_: (0.02, [], ("friction",))
+    )
     return log
 
 

@@ -51,7 +51,7 @@ STRIP: dict[str, Any] = {
 def errors_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Errors of the vibration are not sought, in tests of other things: half of the time."""
     monkeypatch.setattr(
-        "fenics_crack.fatigue.growth._estimate_range_error_and_remarks", lambda *_: (0.0, [])
+        "fenics_crack.fatigue.growth._estimate_range_error_and_remarks", lambda *_: (0.0, [], ())
     )
 
 
@@ -122,7 +122,7 @@ def test_a_threshold_next_to_the_range_makes_the_life_unsure(
 ) -> None:
     """Within the error of the ranges: how many of the cycles make the crack grow is not known."""
     monkeypatch.setattr(
-        "fenics_crack.fatigue.growth._estimate_range_error_and_remarks", lambda *_: (0.02, [])
+        "fenics_crack.fatigue.growth._estimate_range_error_and_remarks", lambda *_: (0.02, [], ())
     )
     blocks = {"drive": "spectrum", "frequencies": [2.0, 8.0], "cycles": [4000.0, 500.0]}
     near_threshold = {"threshold": 0.99 * 2.0 * STRESS * edge_crack(0.02), "until": 0.0201}
