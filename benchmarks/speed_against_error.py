@@ -112,7 +112,7 @@ def run_rung(demo: str, rung: str, references: dict[Any, float]) -> Row:
     row = answer(demo, rung)
     if row["amplitude [m]"] is None:
         return row | {"true": None}
-    modes = REFERENCE_MODES.get(demo, ())[: 1 if rung == "scene" else None]
+    modes = REFERENCE_MODES.get(demo, ())
     key = row["mesh"], row["friction"], modes
     if key not in references:
         references[key] = reference(demo, *key)
