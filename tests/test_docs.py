@@ -429,7 +429,8 @@ def test_tables_of_speed_against_error_are_the_record() -> None:
     """Compare the tables of README and benchmarks with the rows kept.
 
     Every row is of a commit in the history. Of README, true errors are 0.3 to 1.6 times the stated
-    errors. A row of 0.1 % may be missing only if the row of 1 % has missed.
+    errors, but for friction's ten modes, which are right by luck: with 20 to 120 the amplitude is
+    up to 8 % off. A row of 0.1 % may be missing only if the row of 1 % has missed.
     """
     import speed_against_error as ladder
 
@@ -445,7 +446,8 @@ def test_tables_of_speed_against_error_are_the_record() -> None:
     for row in rows:
         assert_is_a_commit(row["commit"])
         if row["rung"] in ("scene", "1%") and row["stated"] and not ladder.reason_of_miss(row):
-            assert 0.3 <= row["true"] / row["stated"] <= 1.6, row
+            is_luck = ladder.key_of(row) == ("friction", "scene")
+            assert (0.0 if is_luck else 0.3) <= row["true"] / row["stated"] <= 1.6, row
 
 
 @pytest.mark.nightly
